@@ -22,9 +22,11 @@ pub(super) const CLASSES: usize = SLANTED_RAD.len() + 2;
 pub(super) const REACH_M: f64 = 1.0;
 /// A place is compared that each log has seen so often.
 const LEAST_READINGS: usize = 4;
-/// Stretches into which a log is cut, about, and the fewest scans of one.
+/// Stretches into which a log is cut, and those of it that the other log has seen, about.
 const STRETCHES: usize = 16;
+/// The fewest scans of a stretch, and of one that the other log has seen: scans nearer to each other err alike.
 const LEAST_SCANS: usize = 10;
+const LEAST_SEEN_SCANS: usize = 5;
 
 /// The expected reading of a beam, relative to the baseline's distribution at its place.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -105,8 +107,8 @@ pub(super) struct Pool<'a> {
     pub places: usize,
     pub class_of: Vec<u8>,
     index: HashMap<([i32; 2], u8), u32>,
-    /// Scans of a stretch in each log.
-    pub stretch_scans: [usize; 2],
+    /// The stretch of each scan in each log.
+    stretch_of: [Vec<u32>; 2],
     /// Stretches of the baseline, and of both.
     pub stretches: [usize; 2],
     /// Share of today's readings at places that the baseline has seen.
@@ -131,12 +133,12 @@ impl<'a> Pool<'a> {
             places: CLASSES,
             class_of: (0..CLASSES as u8).collect(),
             index: HashMap::new(),
-            stretch_scans: [0; 2],
+            stretch_of: [Vec::new(), Vec::new()],
             stretches: [0; 2],
             shared: 0.0,
         };
-        pool.cut();
         pool.find_places();
+        pool.cut();
         pool.read();
         Ok(pool)
     }
@@ -144,17 +146,32 @@ impl<'a> Pool<'a> {
     fn cut(&mut self) {
         let mut count = 0;
         for log in 0..2 {
-            let scans = self.logs[log].recorded.scans();
-            self.stretch_scans[log] = (scans / STRETCHES).max(LEAST_SCANS);
-            count += (scans / self.stretch_scans[log]).max(1);
-            self.stretches[log] = count;
+            let first = count;
+            let seen = self.shared_by_scan(log);
+            self.stretch_of[log] = cut(&seen).into_iter().map(|stretch| first + stretch).collect();
+            count = self.stretch_of[log].last().map_or(first, |last| last + 1);
+            self.stretches[log] = count as usize;
         }
     }
 
-    /// The stretch of a scan: a last one that isn't full goes with the one before.
+    /// How many readings each scan has at places that both logs have seen.
+    fn shared_by_scan(&self, log: usize) -> Vec<usize> {
+        let views = &self.logs[log].views;
+        let is_shared = |(i, beam): (usize, &Beam)| {
+            self.reading(log, i).is_some() && self.index.contains_key(&self.key(beam))
+        };
+        let scans = views.beams.chunks(views.per_scan).enumerate();
+        scans
+            .map(|(scan, beams)| {
+                let first = scan * views.per_scan;
+                beams.iter().enumerate().filter(|&(i, beam)| is_shared((first + i, beam))).count()
+            })
+            .collect()
+    }
+
+    /// The stretch of a scan.
     pub fn stretch(&self, log: usize, scan: usize) -> u32 {
-        let first = if log == 0 { 0 } else { self.stretches[0] };
-        (first + scan / self.stretch_scans[log]).min(self.stretches[log] - 1) as u32
+        self.stretch_of[log][scan]
     }
 
     /// The places that both logs have seen often enough.
@@ -308,13 +325,10 @@ impl<'a> Pool<'a> {
         }
     }
 
-    /// Where a reading lies in the map \[m\], and the heading of its beam.
+    /// Where a reading lies in the map \[m\], and the direction of its beam.
     pub fn point(&self, reading: &Reading) -> (DVec2, DVec2) {
-        let log = &self.logs[reading.log];
-        let scan = reading.index / log.views.per_scan;
-        let view = &log.views.beams[reading.index].view;
-        let heading = DVec2::from_angle(log.recorded.track.poses()[scan].theta + view.bearing);
-        (view.endpoint - (view.range - f64::from(reading.z)) * heading, heading)
+        let view = &self.beam(reading).view;
+        (view.point_at(f64::from(reading.z)), view.direction)
     }
 
     /// The widest angle between neighbouring beams of today's log \[rad\].
@@ -327,6 +341,27 @@ impl<'a> Pool<'a> {
     pub fn beam(&self, reading: &Reading) -> &Beam {
         &self.logs[reading.log].views.beams[reading.index]
     }
+}
+
+/// The stretch of each scan, by how many readings it has at places that the other log has seen, too. Where few scans have any, these are cut
+/// finer: what decides are the stretches that can be compared. A last one that isn't full goes with the one before.
+fn cut(seen: &[usize]) -> Vec<u32> {
+    let scans = (seen.len() / STRETCHES).max(LEAST_SCANS);
+    let readings = seen.iter().sum::<usize>().div_ceil(STRETCHES).max(1);
+    let mut stretches = Vec::with_capacity(seen.len());
+    let (mut stretch, mut from, mut sum) = (0_u32, 0, 0);
+    for (scan, &count) in seen.iter().enumerate() {
+        stretches.push(stretch);
+        sum += count;
+        let length = scan + 1 - from;
+        if length >= scans || length >= LEAST_SEEN_SCANS && sum >= readings {
+            (stretch, from, sum) = (stretch + 1, scan + 1, 0);
+        }
+    }
+    if from < seen.len() && stretch > 0 {
+        stretches[from..].fill(stretch - 1);
+    }
+    stretches
 }
 
 /// Whether an effect changes what a beam meets at one place, and not how far that is.

@@ -49,7 +49,7 @@ impl Default for Nuisances {
 pub struct Fitted {
     /// What was fitted.
     pub nuisances: Nuisances,
-    /// Error of each reference pose.
+    /// To be added to each reference pose, x, y \[m\] and heading \[rad\]: it takes the fitted error off.
     pub corrections: Vec<DVec3>,
     /// What the scans say of these errors; empty where the process isn't fitted.
     pub information: Vec<PoseInformation>,

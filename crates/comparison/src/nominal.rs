@@ -57,7 +57,7 @@ impl Nominal {
         let blocks = blocks.filter(|blocks| blocks.per_metre_of_wall > 0.0);
         let simulator = Simulator::new(Arc::clone(&map), blocks, laser, effects.clone())?;
         let integral = simulator.blocks().map(|model| Arc::new(BlockIntegral::new(model)));
-        let pieces = WallPieces::new(map.geometry()).map(Arc::new);
+        let pieces = WallPieces::new(map.geometry())?.map(Arc::new);
         Ok(Self { map, laser, blocks, open: None, odometry, effects, integral, pieces })
     }
 

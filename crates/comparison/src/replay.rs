@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use locsim_core::{Draw, Pose2, PoseInformation, Purpose, Recorded, Stage, Track, cell_at, share_again};
 use locsim_world::effect::{Effect, Effects};
 use locsim_world::simulation::{BlockResampling, MovedWalls};
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::jitter::Jitter;
 use crate::nominal::BlockPolicy;
-use crate::pose_pattern::errors_beyond_patterns;
+use crate::pose_pattern::{errors_beyond_patterns, errors_in_patterns};
 use crate::{ComparisonError, Nominal};
 
 /// Items of a scan's draws beside those of the simulator.
@@ -22,6 +22,8 @@ const REFERENCE_ERROR: u32 = 1;
 const TOLD_ERROR: u32 = 2;
 /// Item of a piece of wall.
 const WALL_ERROR: u32 = 3;
+/// Errors of the reference that go with the motion all along.
+const PATTERN_ERROR: u32 = 5;
 /// Item of what all walls stand off by.
 const MAP_BIAS: u32 = 4;
 /// Standard deviation of what all walls of a measured map stand off by \[m\]: held-out readings of measured logs have medians of
@@ -102,14 +104,7 @@ impl<'a> Replay<'a> {
             let pose = base_at(scan, secs);
             jitter.as_ref().map_or(pose, |jitter| pose.moved(jitter.at(scan, secs)))
         };
-        let readings = simulator.scan_along(track.secs(), seen_from, seed);
-        let all = self.recorded.log_laser.beam_count();
-        let readings = if all == self.recorded.beams() {
-            readings
-        } else {
-            let scans = readings.chunks(all);
-            scans.flat_map(|scan| self.recorded.kept.iter().map(|&beam| scan[beam])).collect()
-        };
+        let readings = simulator.beams_along(&self.recorded.kept, track.secs(), seen_from, seed);
         let odometry = self.nuisances.odometry_error.along(&truth, &effects, seed);
         Ok(Recorded { corrections, ..self.recorded.with(readings, odometry) })
     }
@@ -135,12 +130,14 @@ impl<'a> Replay<'a> {
         Some(MovedWalls { pieces, offsets })
     }
 
-    /// The recorded poses with errors as the log's reference poses have them, and what is known of these, which is taken off: nothing where
+    /// The recorded poses with errors as the log's reference poses have them, those included that last longer than the log, and what is known of these, which is taken off: nothing where
     /// nothing is known of the log's, and otherwise what scans like its own tell.
     pub fn errors(&self, seed: u64) -> (Track, Vec<DVec3>) {
         let (track, process) = (&self.recorded.track, &self.nuisances.pose_error);
         let draw = |item| move |scan| Draw::new(seed, Stage::Path, scan).item(item);
-        let errors = process.simulate(track.secs(), draw(REFERENCE_ERROR));
+        let mut errors = process.simulate(track.secs(), draw(REFERENCE_ERROR));
+        let in_patterns = errors_in_patterns(process, self.recorded, &mut draw(PATTERN_ERROR)(0));
+        errors.iter_mut().zip(in_patterns).for_each(|(error, more)| *error += more);
         let known = if self.recorded.is_corrected() {
             let scans = self.information.iter().zip(&errors).enumerate();
             let told = scans.map(|(i, (scan, e))| scan.simulate(*e, &mut draw(TOLD_ERROR)(i as u32)));
@@ -256,9 +253,7 @@ fn shared_shorts(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted
     let mut cells = vec![HashSet::new(); comparison.views.scans()];
     comparison.for_each_reading(&comparison.views, effects, fitted, |scan, i, _, _, z, terms| {
         if terms.short > 0.5 {
-            let beam = &comparison.views.beams[i];
-            let heading = comparison.recorded.track.poses()[scan].theta + beam.view.bearing;
-            let point = beam.view.endpoint - (beam.view.range - z) * DVec2::from_angle(heading);
+            let point = comparison.views.beams[i].view.point_at(z);
             cells[scan].insert(cell_at(point, OBJECT_CELL_M));
         }
     });

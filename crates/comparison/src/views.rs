@@ -1,4 +1,4 @@
-use std::collections::{BTreeSet, HashSet};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 use glam::DVec2;
@@ -348,15 +348,7 @@ pub fn jumps(nominal: &Nominal, recorded: &Recorded, scan: usize) -> Vec<Option<
 }
 
 fn jumps_of(recorded: &Recorded, caster: &BeamCaster<'_>, scan: usize) -> Vec<Option<[f64; 2]>> {
-    // The log's beams beside those that are looked at.
-    let beam_count = recorded.log_laser.beam_count();
-    let beside = |&beam: &usize| [beam + beam_count - 1, beam, beam + 1].map(|beam| beam % beam_count);
-    let cast: BTreeSet<usize> = recorded.kept.iter().flat_map(beside).collect();
-    let mut of_cast = Vec::new();
-    caster.nominal_ranges(rays(recorded, caster, scan, cast.iter().copied()), &mut of_cast);
-    let mut ranges = vec![f64::NAN; beam_count];
-    cast.into_iter().zip(of_cast).for_each(|(beam, range)| ranges[beam] = range);
-    recorded.kept.iter().map(|&beam| caster.jump(&ranges, beam)).collect()
+    caster.jumps(&recorded.kept, recorded.track.secs()[scan], |secs| recorded.pose_at(scan, secs))
 }
 
 #[cfg(test)]

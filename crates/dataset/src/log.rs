@@ -112,7 +112,7 @@ pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive
     let (mut drive, mut summary) = match LogFormat::of_content(path)? {
         LogFormat::Carmen if topics != BagTopics::default() => Err(DatasetError::Topic {
             path: path.to_owned(),
-            reason: "a topic is named; allowed: topics of a ROS 2 bag".to_owned(),
+            reason: "topics are named, by options or in `log.topics`; allowed: for a ROS 2 bag".to_owned(),
             found: "a CARMEN log".to_owned(),
         }),
         LogFormat::Bag => {

@@ -233,9 +233,7 @@ impl Search<'_, '_> {
         // Effects that exclude each other are refused here: in the solver the error would be lost.
         self.comparison.effects(&self.with(&problem.effect(&origin)?))?;
         if kind.is_stepped() {
-            // The step of a quantization is right or wrong: there is nothing between to search.
-            let effect = problem.effect(&origin)?;
-            return Ok((evaluate(self, &effect)?, effect));
+            return self.likeliest_multiple(kind, start, evaluate);
         }
         let mut simplex = vec![origin.clone()];
         for axis in 0..origin.len() {
@@ -257,6 +255,27 @@ impl Search<'_, '_> {
             // The problem clamps values to their limits, so that it makes no error of its own.
             Err(_) => Ok((f64::NEG_INFINITY, problem.effect(&origin)?)),
         }
+    }
+
+    /// The likeliest step among whole multiples of the one to start from: readings in steps lie on the steps' parts as well. There is nothing
+    /// between to search.
+    fn likeliest_multiple(
+        &self,
+        kind: EffectKind,
+        start: &Start,
+        evaluate: fn(&Self, &Effect) -> Result<f64, GapError>,
+    ) -> Result<(f64, Effect), GapError> {
+        let most = kind.parameters()[0].hi;
+        let of_start = start.values[0];
+        let multiples = (1..=MOST_MULTIPLE).map(|times| f64::from(times) * of_start);
+        let tried = multiples.filter(|&step| step <= most || step == of_start).map(|step| {
+            let mut effect = Effect::new(kind, start.values.clone(), start.place.clone())?;
+            effect.values[0] = step;
+            Ok((evaluate(self, &effect)?, effect))
+        });
+        let tried = tried.collect::<Result<Vec<_>, GapError>>()?;
+        let best = tried.into_iter().max_by(|(a, _), (b, _)| a.total_cmp(b));
+        best.ok_or(GapError::Option { option: "step", value: of_start, allowed: "a number" })
     }
 
     /// The gain of a fit on folds that it wasn't fitted to, and the intervals of its parameters.
@@ -284,6 +303,9 @@ impl Search<'_, '_> {
         Ok(Candidate { effect, gains, fitted_gains, intervals, is_beyond_chance: false, score: None })
     }
 }
+
+/// Steps up to so many times those that are looked for are tried: 3 and 4 cm by 1 and 2 cm.
+const MOST_MULTIPLE: u32 = 5;
 
 /// The most that a fold loses where the fit hasn't seen it, beyond its gain (nats). A Newton step overshoots where a few
 /// readings of one fold decide a parameter.

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, HashSet};
 
 use glam::DVec2;
 use locsim_comparison::{Comparison, Fitted, PieceView, beam_headings};
-use locsim_core::{cell_at, cells_between, median};
+use locsim_core::{cell_at, cells_between, circular_mean, median, wrap_angle};
 use locsim_world::simulation::WallPieces;
 use serde::Serialize;
 
@@ -152,6 +152,17 @@ fn places(comparison: &Comparison<'_>, fitted: &Fitted) -> Vec<Place> {
     places
 }
 
+/// By how much the middle of the bearings of readings, which lie in the order of scans, turns from scan to scan \[rad\].
+fn turn_between_scans(ends: &[&Place]) -> f64 {
+    let middle = |of_scan: &[&Place]| circular_mean(of_scan.iter().map(|place| (place.bearing, 1.0)));
+    let mut middles = ends.chunk_by(|a, b| a.scan == b.scan).filter_map(middle);
+    let Some(first) = middles.next() else { return 0.0 };
+    let (lo, hi) = middles
+        .map(|bearing| wrap_angle(bearing - first))
+        .fold((0.0_f64, 0.0_f64), |(lo, hi), turned| (lo.min(turned), hi.max(turned)));
+    hi - lo
+}
+
 /// How many readings of each class end at a wall, and how many pass it or have no return.
 type Passes = BTreeMap<[i32; 2], [f64; 2]>;
 
@@ -257,8 +268,7 @@ fn objects(comparison: &Comparison<'_>, places: &[Place], ignored: &mut [bool]) 
     let usual = shorts as f64 / came.max(1) as f64;
     let stands = |cell: &Cell<'_>| {
         let ends = &cell.ends;
-        let bearings = || ends.iter().map(|place| place.bearing);
-        let turn = bearings().fold(f64::NEG_INFINITY, f64::max) - bearings().fold(f64::INFINITY, f64::min);
+        let turn = turn_between_scans(ends);
         let share = ends.len() as f64 / cell.crossed.max(ends.len()) as f64;
         is_enough(ends) && turn >= LEAST_TURN_RAD && share >= LEAST_SHARE.max((TIMES_USUAL * usual).min(0.5))
     };
@@ -321,6 +331,36 @@ mod tests {
         let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
         let (errors, wrong) = find(&comparison, &fitted);
         (errors, wrong.iter().filter(|wrong| **wrong).count() as f64 / wrong.len() as f64)
+    }
+
+    /// A pole and a wide part of the robot, and a thing in the room, which a robot that turns sees at other bearings.
+    #[test]
+    fn what_is_on_the_robot_is_at_one_bearing() {
+        let at = |scan: usize, bearing: f64| Place {
+            beam: 0,
+            scan,
+            bearing,
+            piece: 0,
+            error: -1.0,
+            offset: 0.0,
+            is_far: true,
+            is_return: true,
+            is_beyond: false,
+            class: [0; 2],
+            origin: DVec2::ZERO,
+            end: DVec2::ZERO,
+        };
+        let turn = |bearings: &[&[f64]]| {
+            let scans = bearings.iter().enumerate();
+            let places: Vec<Place> = scans
+                .flat_map(|(scan, of_scan)| of_scan.iter().map(move |&bearing| at(scan, bearing)))
+                .collect();
+            turn_between_scans(&places.iter().collect::<Vec<_>>())
+        };
+        assert!(turn(&[&[3.1, -3.1], &[-3.1], &[3.1]]) < LEAST_TURN_RAD);
+        assert!(turn(&[&[0.2, 0.4, 0.6], &[0.2, 0.4, 0.6], &[0.4]]) < LEAST_TURN_RAD);
+        assert!(turn(&[&[3.1], &[-3.1], &[-2.9]]) > LEAST_TURN_RAD);
+        assert_eq!(turn(&[]), 0.0);
     }
 
     /// Each error of the map is found where it is and as what it is, and nothing else is. Effects of the laser are no errors of

@@ -124,7 +124,6 @@ pub(crate) fn pits(
     effects: &[Effect],
     seed: u64,
 ) -> Result<Vec<BeamPit>, GapError> {
-    let recorded = &*before.recorded;
     let mut out = vec![
         BeamPit { before: f32::NAN, after: f32::NAN, residual: f32::NAN, ..BeamPit::default() };
         before.views.beams.len()
@@ -149,10 +148,7 @@ pub(crate) fn pits(
                 if is_before {
                     out[i].before = u as f32;
                     out[i].residual = (z - (beam.range() + shift).min(max)).clamp(-1.0, 1.0) as f32;
-                    let view = &beam.view;
-                    let laser = recorded.track.poses()[scan].compose(&recorded.laser.base_from_laser());
-                    let direction = glam::DVec2::from_angle(laser.theta + view.bearing);
-                    let end = laser.position() + z * direction;
+                    let end = beam.view.point_at(z);
                     out[i].endpoint = [end.x as f32, end.y as f32];
                 } else {
                     out[i].after = u as f32;

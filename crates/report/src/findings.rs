@@ -113,7 +113,7 @@ fn left_out(results: &RunResults) -> Option<String> {
     (left_out > 0).then(|| {
         let of = steps().count();
         format!(
-            "{left_out} of {of} scans ({:.0} %) were not taken in, as the robot had hardly moved since the scan before \
+            "{left_out} of the {of} scans of all trials ({:.0} %) were not taken in, as the robot had hardly moved since the scan before \
              (`filter.update`).",
             100.0 * left_out as f64 / of as f64
         )

@@ -19,6 +19,12 @@ const SAME: f64 = 1e-6;
 /// The laser's pose on the robot varies by more than this (m, rad) only if one of the two was corrected.
 const RIGID: f64 = 0.02;
 
+/// A robot moves no farther than this from an ODOM line to the scan after it (m).
+const MOST_MOVED: f64 = 0.5;
+
+/// An ODOM line may be logged so much later than it was taken (m).
+const MOST_LATE: f64 = 0.1;
+
 /// Times may go backwards this far (s) because messages were logged out of order; further back, the clock was
 /// set or wrapped.
 const BACKWARDS: f64 = 60.0;
@@ -145,14 +151,11 @@ impl Recognised {
                 );
                 return Self { kind: LogKind::Corrected, odometry: own, evidence };
             }
-            // Half a metre is more than a robot moves from an ODOM line to the scan after it.
-            let apart = count(&|s| {
-                let last = s.before.last_odometry;
-                last.is_some_and(|(_, p)| p.position().distance(s.robot_pose.position()) > 0.5)
-            });
+            let apart = apart_from_lines(scans);
             if apart * 2 > n {
                 let evidence = format!(
-                    "the scans' robot pose is more than 0.5 m from the ODOM lines in {apart} of {n} scans"
+                    "the scans' robot poses are corrected: farther from the ODOM lines than the robot moves between these \
+                     in {apart} of {n} scans"
                 );
                 let odometry = OdometrySource::OdomLines;
                 return Self { kind: LogKind::Corrected, odometry, evidence };
@@ -164,6 +167,18 @@ impl Recognised {
         );
         Self { kind: LogKind::Raw, odometry: own, evidence }
     }
+}
+
+/// How many scans have a robot pose that is farther from the ODOM line before them than the robot moves until the one after.
+fn apart_from_lines(scans: &[ScanLine]) -> usize {
+    let pairs = scans.iter().enumerate().filter_map(|(i, scan)| {
+        let (_, before) = scan.before.last_odometry?;
+        let after = scans[i + 1..].iter().find_map(|scan| scan.before.first_odometry);
+        let moved = after.map_or(MOST_MOVED, |(_, after)| before.position().distance(after.position()));
+        let off = before.position().distance(scan.robot_pose.position());
+        Some(off > (moved + MOST_LATE).min(MOST_MOVED))
+    });
+    pairs.filter(|is_apart| *is_apart).count()
 }
 
 /// Poses that differ by at most `tolerance` (m, rad) in each component.

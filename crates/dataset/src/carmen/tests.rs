@@ -187,6 +187,38 @@ fn odometry_beside_corrected_poses_is_found_in_either_place() {
     }
 }
 
+/// Wheels that drift to 20 cm at the most, with an ODOM line every 5 cm; beside poses that are the odometry's, up to two lines late, the
+/// log is as a robot records it.
+#[test]
+fn poses_a_little_off_a_good_odometry_are_corrected_ones() {
+    let log = |pose: fn(f64) -> Pose2| {
+        let mut text = String::new();
+        for i in 0..60 {
+            let time = f64::from(i);
+            for part in 0..4 {
+                let t = time - 0.8 + 0.2 * f64::from(part);
+                writeln!(text, "ODOM {} 0.25 0 0 {t} h {t}", words(&Pose2::new(0.25 * t, 0.0, 0.0))).unwrap();
+            }
+            writeln!(text, "FLASER 1 1 {0} {0} {time} h {time}", words(&pose(time))).unwrap();
+        }
+        text
+    };
+    let (drive, summary) =
+        read_text(&log(|t| Pose2::new(0.25 * t, 0.2 + 0.02 * (0.2 * t).sin(), 0.0))).unwrap();
+    assert_eq!((summary.kind, summary.odometry), (LogKind::Corrected, OdometrySource::OdomLines));
+    assert!(
+        summary.evidence.contains("corrected") && drive.steps.iter().all(|step| step.reference.is_some())
+    );
+    for late in [-0.4, 0.0, 0.4] {
+        let pose: fn(f64) -> Pose2 = match late {
+            -0.4 => |t| Pose2::new(0.25 * t - 0.1, 0.0, 0.0),
+            0.0 => |t| Pose2::new(0.25 * t, 0.0, 0.0),
+            _ => |t| Pose2::new(0.25 * t + 0.1, 0.0, 0.0),
+        };
+        assert_eq!(read_text(&log(pose)).unwrap().1.kind, LogKind::Raw, "{late}");
+    }
+}
+
 #[test]
 fn a_true_pose_is_carried_to_the_scan_by_odometry() {
     let text = "TRUEPOS 10 20 1.5707963267948966 1 0 0 0.5 h 0\n\

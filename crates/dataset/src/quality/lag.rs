@@ -212,10 +212,10 @@ pub(super) fn seen_from(place: DVec2, ranges: &[f32], laser: &Laser, beam_rad: f
     let points: Vec<_> = points.collect();
     for pair in points.windows(2) {
         let [Some((from, near)), Some((to, far))] = *pair else { continue };
-        if to <= from || (far - near).abs() > f64::from(OTHER_SURFACE_M) {
+        if to <= from || to < 0.0 || (far - near).abs() > f64::from(OTHER_SURFACE_M) {
             continue;
         }
-        for beam in from.ceil().max(0.0) as usize..=to.floor().max(-1.0) as usize {
+        for beam in from.ceil().max(0.0) as usize..=to.floor() as usize {
             let range = near + (far - near) * (beam as f64 - from) / (to - from);
             if let Some(seen) = seen.get_mut(beam) {
                 *seen = seen.min(range as f32);

@@ -64,7 +64,7 @@ impl Times<'_> {
         let scans = self.interval_secs;
         poses.filter(|secs| scans > 0.0 && *secs > RARE_SECS && *secs > RARE_INTERVALS * scans).map(|secs| {
             format!(
-                "The {name} comes every {secs:.2} s, scans every {scans:.2} s: between its poses the robot is taken to move straight and evenly."
+                "The {name} comes every {secs:.2} s, scans every {scans:.2} s: between its poses the robot is taken to move straight and evenly, and as the odometry where a turn begins or ends."
             )
         })
     }

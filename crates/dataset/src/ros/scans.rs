@@ -207,7 +207,10 @@ impl Scans {
         let items = &self.stamped.items;
         let sweep = self.beam_interval() * items.first().map_or(0, |(_, ranges)| ranges.len()) as f64;
         let intervals = items.windows(2).filter(|pair| pair[1].0 > pair[0].0).count();
-        let whole = items.first().zip(items.last()).map_or(0.0, |((from, _), (to, _))| secs(to - from));
+        let whole = items
+            .first()
+            .zip(items.last())
+            .map_or(0.0, |((from, _), (to, _))| secs(to.saturating_sub(*from)));
         intervals == 0 || sweep.abs() <= LONGEST_SWEEP * whole / intervals as f64
     }
 
@@ -244,7 +247,7 @@ impl Scans {
         self.first.as_ref().map_or("", |first| plain(&first.header.frame_id))
     }
 
-    /// What the driver writes for no return: 0, or else NaN, where some readings are so and hardly one is infinite or at the maximum. Beams
+    /// What the driver writes for no return: 0, or else NaN, where one reading in a thousand is so and hardly one is infinite or at the maximum. Beams
     /// that never have another reading are those that the robot itself hides, and don't count. Nor is NaN no return where most of it stands
     /// between a near surface and a far one: filters take such readings out.
     pub fn no_return(&self, max: f32) -> NoReturn {
@@ -257,12 +260,13 @@ impl Scans {
             some.sum::<usize>()
         };
         let [zeros, nans] = [frequency(&|range| range == 0.0), frequency(&f32::is_nan)];
-        if zeros > TIMES_AS_FREQUENT * above {
+        let is_frequent =
+            |count: usize| count > TIMES_AS_FREQUENT * above && ONE_OF * count >= beams * scans.len();
+        if is_frequent(zeros) {
             NoReturn::Zero
         } else if self.writes_nan
-            && nans > TIMES_AS_FREQUENT * above
+            && is_frequent(nans)
             && scans.len() >= LEAST_HIDDEN
-            && ONE_OF * nans >= beams * scans.len()
             && !are_between_surfaces(&scans)
         {
             NoReturn::NotANumber

@@ -246,7 +246,8 @@ impl Stamped<Pose2> {
 
     /// Median time between poses (ns); those of one time count as one.
     pub fn interval(&self) -> Option<i64> {
-        let mut intervals: Vec<i64> = self.items.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
+        let mut intervals: Vec<i64> =
+            self.items.windows(2).map(|pair| pair[1].0.saturating_sub(pair[0].0)).collect();
         if intervals.iter().any(|interval| *interval > 0) {
             intervals.retain(|interval| *interval > 0);
         }
@@ -263,7 +264,7 @@ impl Stamped<Pose2> {
         self.sort()?;
         let is_leap = |(from, a): &(i64, Pose2), (to, b): &(i64, Pose2)| {
             let distance = a.position().distance(b.position());
-            distance > LEAP_M && distance > FASTEST.0 * secs(to - from)
+            distance > LEAP_M && distance > FASTEST.0 * secs(to.saturating_sub(*from))
         };
         let all = std::mem::take(&mut self.items);
         let count = all.len();

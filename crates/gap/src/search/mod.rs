@@ -91,6 +91,8 @@ struct Round<'a> {
     null: Null,
     /// The free model on top of it, where that was asked for.
     judgement: OnceLock<Judgement>,
+    /// Simulated logs that ranges are held against, where that was asked for.
+    logs: OnceLock<Vec<Recorded>>,
 }
 
 impl Round<'_> {
@@ -168,7 +170,8 @@ pub fn find(
         let more = state.block_density(path.first(), path.last())?;
         path.named.extend(more);
     }
-    let outcome = state.outcome(path, nameless)?;
+    let remaining = state.remaining(&mut path)?;
+    let outcome = state.outcome(path, remaining, nameless)?;
     Ok(Outcome { map: known.map(|known| known.findings), ..outcome })
 }
 
@@ -258,7 +261,16 @@ impl<'a> State<'a> {
         let replay = Replay::new(&comparison, &effects, &fitted, blocks);
         let tick = |ticks| self.progress.advance(ticks);
         let null = compare(&replay, &comparison, &dictionary, &fitted, replicates, seed, self.stop, &tick)?;
-        Ok(Round { effects, comparison, fitted, blocks, dictionary, null, judgement: OnceLock::new() })
+        Ok(Round {
+            effects,
+            comparison,
+            fitted,
+            blocks,
+            dictionary,
+            null,
+            judgement: OnceLock::new(),
+            logs: OnceLock::new(),
+        })
     }
 
     /// Fits the effects whose statistics are farthest off, and further ones.

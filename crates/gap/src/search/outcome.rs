@@ -1,5 +1,8 @@
 //! The outcome of a search: verdict, regions, size of the gap.
 
+use std::borrow::Cow;
+use std::ops::Range;
+
 use distreg::Floor;
 use locsim_comparison::{BlockPolicy, Views};
 use locsim_core::{Draw, Estimate, Interval, Stage, differences, sorted};
@@ -28,9 +31,14 @@ const CLOSED_SHARE: u32 = 3;
 
 impl<'a> State<'a> {
     /// The outcome of the steps of a search.
-    pub fn outcome(&self, path: Path<'a>, nameless: Nameless) -> Result<Outcome, GapError> {
+    pub fn outcome(
+        &self,
+        path: Path<'a>,
+        remaining: Option<Candidate>,
+        nameless: Nameless,
+    ) -> Result<Outcome, GapError> {
         let State { nominal, recorded, options, .. } = *self;
-        let Path { rounds, mut named, rivals, remaining, note, .. } = path;
+        let Path { rounds, mut named, rivals, note, .. } = path;
         // Of several, each has the evidence of its gain beside the others.
         if let [only] = &mut named[..] {
             only.count_all_gains(recorded.scans());
@@ -41,9 +49,14 @@ impl<'a> State<'a> {
         let blind = detectable.iter().filter(|d| d.value > d.typical).count();
         self.progress.stage("measuring the gap", 1);
         let logs = if named.is_empty() { LOGS } else { PROFILE_LOGS };
-        let (old, new) = (self.replay(before, logs)?, self.replay(after, logs)?);
-        let profiles = profiles(&named, &before.comparison, &after.comparison, [&old, &new]);
-        let (old, new) = (&old[..LOGS], &new[..LOGS]);
+        let of_profiles = [self.replay(before, logs)?, self.replay(after, logs)?];
+        let profiles = profiles(
+            &named,
+            &before.comparison,
+            &after.comparison,
+            of_profiles.each_ref().map(|logs| &**logs),
+        );
+        let [old, new] = of_profiles.each_ref().map(|logs| &logs[..LOGS]);
         let judged = [self.judge(before)?, self.judge(after)?];
         let gap = self.gap(&rounds, &named, remaining.as_ref(), judged, [old, new]);
         let Nameless { unnamed, curves } = nameless;
@@ -162,11 +175,24 @@ impl<'a> State<'a> {
         }))
     }
 
-    /// Some simulated logs of a round.
-    fn replay(&self, round: &Round<'a>, logs: usize) -> Result<Vec<Recorded>, GapError> {
+    /// Some simulated logs of a round, [`LOGS`] at least; the first of more are the same.
+    fn replay<'r>(&self, round: &'r Round<'a>, logs: usize) -> Result<Cow<'r, [Recorded]>, GapError> {
         let replay = round.replay();
         let draw = Purpose::Distance.draw(self.options.seed);
-        (0..logs as u32).into_par_iter().map(|i| Ok(replay.simulate(draw.seed(i))?)).collect()
+        let simulated = |range: Range<usize>| -> Result<Vec<Recorded>, GapError> {
+            range.into_par_iter().map(|i| Ok(replay.simulate(draw.seed(i as u32))?)).collect()
+        };
+        let known = match round.logs.get() {
+            Some(known) => known,
+            None => {
+                let first = simulated(0..LOGS)?;
+                round.logs.get_or_init(|| first)
+            }
+        };
+        if logs <= LOGS {
+            return Ok(Cow::Borrowed(known));
+        }
+        Ok(Cow::Owned([known.clone(), simulated(LOGS..logs)?].concat()))
     }
 
     /// Whether simulated ranges are no nearer to the log's in the later round, whose last effect this is, than in the first.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use distreg::newton::newton_steps;
-use locsim_comparison::{Comparison, ComparisonError, Replay, Views};
+use locsim_comparison::{Comparison, ComparisonError, Fitted, Replay, Views};
 use locsim_core::{Estimate, normal};
 use locsim_world::effect::{Effect, EffectKind, Fit, Parameter, Role};
 use rand_distr::{Distribution, StandardNormal};
@@ -36,6 +36,15 @@ impl<'a> State<'a> {
             .collect::<Result<Vec<_>, ComparisonError>>()?;
         let all = self.nominal.effects_with(&effects)?;
         let views = round.comparison.views_with(&all)?;
+        // Nuisances beside the effects as they are.
+        let starts: Vec<Fitted> = logs
+            .par_iter()
+            .map(|log| {
+                let comparison = Comparison { views: Arc::clone(&views), ..round.comparison.of(log) };
+                comparison.find_nuisances(&all, &round.fitted.nuisances, REFIT)
+            })
+            .collect();
+        let simulated: Vec<(&Recorded, &Fitted)> = logs.iter().zip(&starts).collect();
         self.progress.stage("making numbers precise", named.len() as u64);
         for (index, named) in named.iter_mut().enumerate() {
             let kind = effects[index].kind;
@@ -58,7 +67,7 @@ impl<'a> State<'a> {
                     .iter()
                     .map(|&(i, step)| (i, (factor * step).min(room(&effects[index], i))))
                     .collect();
-                let totals = self.totals(&effects, index, &numbers, &logs, &views, round)?;
+                let totals = self.totals(&effects, index, &numbers, &simulated, &views, round)?;
                 let steps: Vec<f64> = numbers.iter().map(|(_, step)| *step).collect();
                 shifts = newton_steps(&totals, &steps);
                 if shifts.is_some() {
@@ -89,14 +98,14 @@ impl<'a> State<'a> {
         Ok(())
     }
 
-    /// Log likelihood of each log, as \[log\]\[variant\]: of the effects themselves, of each number of one of them a step up
+    /// Log likelihood of each log, from its nuisances on, as \[log\]\[variant\]: of the effects themselves, of each number of one of them a step up
     /// and down, and of each two up.
     fn totals(
         &self,
         effects: &[Effect],
         index: usize,
         numbers: &[(usize, f64)],
-        logs: &[Recorded],
+        logs: &[(&Recorded, &Fitted)],
         views: &Arc<Views>,
         round: &Round<'a>,
     ) -> Result<Vec<Vec<f64>>, GapError> {
@@ -127,13 +136,12 @@ impl<'a> State<'a> {
             })
             .collect::<Result<Vec<_>, ComparisonError>>()?;
         let chance = Purpose::Prior.draw(self.options.seed);
-        let of_log = |(number, log): (usize, &Recorded)| {
+        let of_log = |(number, &(log, start)): (usize, &(&Recorded, &Fitted))| {
             let comparison = Comparison { views: Arc::clone(views), ..round.comparison.of(log) };
-            let start = comparison.find_nuisances(&variants[0].0, &round.fitted.nuisances, REFIT);
             let mut chance = chance.item(number as u32);
             let typical: [f64; PRIORS] = std::array::from_fn(|_| StandardNormal.sample(&mut chance));
             let total = |(all, views, effect): &(_, Arc<Views>, Effect)| {
-                let likelihood = comparison.evaluate_views(views, all, &start, 1).total();
+                let likelihood = comparison.evaluate_views(views, all, start, 1).total();
                 likelihood + log_prior_by_chance(effect, &effects[index], typical)
             };
             variants.iter().map(total).collect()

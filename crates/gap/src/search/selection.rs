@@ -8,6 +8,7 @@ use locsim_world::effect::{self, Effect, EffectKind, Experiment, Moves};
 use crate::GapError;
 use crate::fit::Candidate;
 use crate::outcome::{Evidence, Named, Number, Rival};
+use crate::statistics::ROBOT_REACH_M;
 
 /// Whether two effects are one that was fitted in two steps. The first fit of a strong effect may come out too weak.
 pub fn adds_up(known: &Effect, more: &Effect) -> bool {
@@ -30,8 +31,6 @@ pub fn is_one_cause(known: &Effect, more: &Effect) -> bool {
     known.kind == more.kind && (is_of_same_wall || is_of_same_sector)
 }
 
-/// How far from its laser a robot may have a part of its own \[m\].
-const ROBOT_REACH_M: f64 = 2.0;
 /// Standard errors by which a part of the robot gains, as it is there on all of the drive: one who passes by is so in a fold or two.
 const ROBOT_ERRORS: f64 = 2.0;
 /// Where a part of the robot gains so much on average over folds (nats), it gains this share of it on three of four of them: one who stands near

@@ -54,8 +54,8 @@ pub struct Path<'a> {
     first_fits: Vec<Candidate>,
     first_choice: usize,
     pub rivals: Vec<Rival>,
-    /// The effect that would gain most on top.
-    pub remaining: Option<Candidate>,
+    /// The effect that would gain most on top of the last round, once that is known; see [`State::remaining`].
+    remaining: Option<Option<Candidate>>,
     /// A remark on the choice, for the report.
     pub note: Option<String>,
 }
@@ -86,7 +86,6 @@ impl<'a> State<'a> {
     /// Names the effect that gains most, adds it, and tests again, until nothing is off or no effect surely gains.
     pub fn name_effects(&self, first: Round<'a>) -> Result<Path<'a>, GapError> {
         let options = self.options;
-        let secs = self.recorded.track.secs().last().copied().unwrap_or_default();
         let mut path = Path {
             rounds: vec![first],
             named: Vec::new(),
@@ -102,20 +101,7 @@ impl<'a> State<'a> {
             if !off && path.named.is_empty() {
                 break;
             }
-            let mut candidates = self.candidates_of(round)?;
-            let of_another_form = if off { self.of_another_form(round)? } else { Vec::new() };
-            candidates.retain(|candidate| {
-                may_be_of_robot(candidate)
-                    && is_of_few(candidate)
-                    && dies_away(candidate, secs)
-                    && !path.named.iter().any(|named| {
-                        !adds_up(&named.effect, &candidate.effect)
-                            && (is_one_cause(&named.effect, &candidate.effect)
-                                || is_left_by(named, candidate, of_another_form.contains(&named.name)))
-                    })
-            });
-            let candidates = drop_of_one_place(round, drop_surroundings(round, candidates)?)?;
-            let candidates = drop_passing(round, drop_unfounded(round, candidates)?)?;
+            let candidates = self.admissible(round, &path.named)?;
             let mut is_by_form = false;
             let accepted = if off && path.named.len() < options.most_effects {
                 let likeliest = choose(&candidates);
@@ -142,14 +128,14 @@ impl<'a> State<'a> {
                 if let Some(most) = rest.as_ref().filter(|_| off) {
                     path.rivals.extend(compare_rivals(&candidates, most, path.rounds.len()));
                 }
-                path.remaining = rest;
+                path.remaining = Some(rest);
                 break;
             };
             let chosen = &candidates[best].effect;
             let adds_to = path.named.iter().position(|known| adds_up(&known.effect, chosen));
             if adds_to.is_some() && path.rounds.len() > 2 * options.most_effects {
                 // The sum of an effect's fits doesn't settle.
-                path.remaining = Some(candidates[best].clone());
+                path.remaining = Some(Some(candidates[best].clone()));
                 break;
             }
             let (p, nuisances) = (round.null.p, round.fitted.nuisances);
@@ -174,6 +160,37 @@ impl<'a> State<'a> {
             path.rounds.push(next);
         }
         Ok(path)
+    }
+
+    /// Fits of a round that may be named beside those that are.
+    fn admissible(&self, round: &Round<'a>, named: &[Named]) -> Result<Vec<Candidate>, GapError> {
+        let is_off = round.null.p <= self.options.false_alarm;
+        let secs = self.recorded.track.secs().last().copied().unwrap_or_default();
+        let mut candidates = self.candidates_of(round)?;
+        let of_another_form = if is_off { self.of_another_form(round)? } else { Vec::new() };
+        candidates.retain(|candidate| {
+            may_be_of_robot(candidate)
+                && is_of_few(candidate)
+                && dies_away(candidate, secs)
+                && !named.iter().any(|named| {
+                    !adds_up(&named.effect, &candidate.effect)
+                        && (is_one_cause(&named.effect, &candidate.effect)
+                            || is_left_by(named, candidate, of_another_form.contains(&named.name)))
+                })
+        });
+        let candidates = drop_of_one_place(round, drop_surroundings(round, candidates)?)?;
+        drop_passing(round, drop_unfounded(round, candidates)?)
+    }
+
+    /// The effect that would gain most on top of all that is named.
+    pub fn remaining(&self, path: &mut Path<'a>) -> Result<Option<Candidate>, GapError> {
+        if let Some(known) = path.remaining.take() {
+            return Ok(known);
+        }
+        if path.named.is_empty() {
+            return Ok(most_gaining(&path.first_fits));
+        }
+        Ok(most_gaining(&self.admissible(path.last(), &path.named)?))
     }
 
     /// Deletes effects that don't surely gain beside the others. A later effect may explain what an earlier one was named for:
@@ -308,15 +325,14 @@ impl<'a> State<'a> {
         Ok(())
     }
 
-    /// Compares the log with the world of the effects that are named now, and fits those that may be left.
+    /// Compares the log with the world of the effects that are named now.
     fn compare_again(&self, path: &mut Path<'a>) -> Result<(), GapError> {
+        path.remaining = None;
         if path.named.is_empty() {
             path.rounds.truncate(1);
-            path.remaining = most_gaining(&path.first_fits);
             return Ok(());
         }
         let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
-        path.remaining = most_gaining(&self.candidates_of(&next)?);
         path.rounds.push(next);
         Ok(())
     }
@@ -363,7 +379,7 @@ impl<'a> State<'a> {
             path.rivals = compare_rivals(&path.first_fits, &path.first_fits[i], 1);
             path.named = vec![named];
             path.rounds.truncate(1);
-            path.remaining = most_gaining(&self.candidates_of(&round)?);
+            path.remaining = None;
             path.rounds.push(round);
             break;
         }

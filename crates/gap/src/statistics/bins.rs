@@ -56,7 +56,7 @@ impl Bins {
                 axis(Covariate::TurnRate, &quantile_edges(&turn_rates, 7), &turn_rate),
                 // No jump, jumps as of clutter, of doors, of rooms.
                 axis(Covariate::Jump, &[0.0, 0.3, 0.6, 1.5, survey.max_range], &|i| {
-                    survey.jumps[i].map_or(0.0, |[near, far]| far - near)
+                    survey.jumps()[i].map_or(0.0, |[near, far]| far - near)
                 }),
                 axis(Covariate::BearingByTurnRate, &even_edges(first, last, 8), &|i| view(i).bearing)
                     .crossed_with(&axis(Covariate::TurnRate, &quantile_edges(&turn_rates, 4), &turn_rate)),
@@ -90,7 +90,7 @@ impl Axis {
 
     /// The cells of the map in which beams end.
     fn of_places(survey: &Survey<'_>) -> Self {
-        let walls = &survey.walls;
+        let walls = survey.walls();
         let bin = |i: usize| Bin { lo: i as f64, hi: i as f64 + 1.0, place: Some(walls.corner(i)) };
         Self {
             covariate: Covariate::Place,

@@ -62,8 +62,9 @@ pub(super) struct DisplacedWalls {
 
 impl DisplacedWalls {
     pub fn all(survey: &Survey<'_>) -> Vec<Self> {
-        let of =
-            |kind| [false, true].map(|is_of_behind| Self { kind, walls: survey.walls.clone(), is_of_behind });
+        let of = |kind| {
+            [false, true].map(|is_of_behind| Self { kind, walls: survey.walls().clone(), is_of_behind })
+        };
         kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::WallShift)).flat_map(of).collect()
     }
 }

@@ -18,9 +18,9 @@ pub(super) struct Edges {
 
 impl Edges {
     pub fn all(survey: &Survey<'_>) -> Vec<Self> {
-        let share = detectable_share(survey.jumps.iter().flatten().count() as f64);
+        let share = detectable_share(survey.jumps().iter().flatten().count() as f64);
         kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::Edge))
-            .map(|kind| Self { kind, jumps: survey.jumps.clone(), share })
+            .map(|kind| Self { kind, jumps: survey.jumps().to_vec(), share })
             .collect()
     }
 }

@@ -30,8 +30,9 @@ use locsim_world::effect::EffectKind;
 
 pub(crate) use dictionary::Dictionary;
 pub(crate) use locsim_comparison::OBJECT_CELL_M;
-pub(crate) use odometry::odometry_errors;
+pub(crate) use odometry::{lag_products, odometry_errors};
 pub(crate) use readings::{Readings, pit_draw};
+pub(crate) use sectors::ROBOT_REACH_M;
 pub(crate) use survey::Survey;
 
 /// Side of a cell of the map in which walls are counted \[m\].

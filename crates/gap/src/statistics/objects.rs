@@ -64,15 +64,11 @@ impl Objects {
 fn free_space(survey: &Survey<'_>) -> (HashMap<[i32; 2], u32>, Vec<Window>) {
     let (comparison, max) = (survey.comparison, survey.max_range);
     let mut cells = HashMap::new();
-    for (i, beam) in comparison.views.beams.iter().enumerate() {
-        let direction =
-            DVec2::from_angle(comparison.recorded.track.poses()[survey.scan(i)].theta + beam.view.bearing);
+    for beam in &comparison.views.beams {
         let range = beam.view.range.min(max);
         let mut along = 0.5 * OBJECT_CELL_M;
         while along < range {
-            let from_end = beam.view.range - (range - along);
-            let point = beam.view.endpoint - from_end * direction;
-            cells.insert(cell_at(point, OBJECT_CELL_M), 0);
+            cells.insert(cell_at(beam.view.point_at(range - along), OBJECT_CELL_M), 0);
             along += OBJECT_CELL_M;
         }
     }

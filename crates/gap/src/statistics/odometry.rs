@@ -5,7 +5,7 @@ use distreg::{Correlation, lasting};
 use locsim_comparison::{Comparison, Fitted, shown_by};
 use locsim_core::Folds;
 use locsim_world::effect::{self, Axis, EffectKind, Effects};
-use locsim_world::simulation::{Increment, OdometrySpread, lagging, standardized};
+use locsim_world::simulation::{Increment, OdometrySpread, standardized};
 
 use super::{Covariate, Deviation, Family, Form, Group, Halves, Readings, Statistic};
 
@@ -140,17 +140,36 @@ impl Family for Slips {
     }
 }
 
-/// Lags that are tried, to either side up to half a second \[s\].
-const LAGS: usize = 25;
-const LAG_SECS: f64 = 0.02;
-const LEAST_STEPS: usize = 2;
-/// The least mean error of an increment \[m, rad\].
-const LEAST_ERROR: f64 = 1e-3;
-/// In most logs no lag is likelier than none, by not a nat; a root of this is of a few increments.
+/// By how much each increment speaks for an odometry that lags behind the stamps: the product of its errors with the changes of speed by
+/// which a lag of a second would be off, e = -lag dv, and the squares of these; nothing of the first and the last one. Both are in standard
+/// deviations. The speeds are the odometry's own, of the increments before and after: errors of the reference aren't in them.
+pub(crate) fn lag_products(secs: &[f64], increments: &[Increment], spread: &OdometrySpread) -> Vec<[f64; 2]> {
+    let speed = |i: usize, axis: usize| {
+        let Increment { truth, error, .. } = &increments[i];
+        (truth[axis] + error[axis]) / (secs[i + 1] - secs[i]).max(LEAST_SECS)
+    };
+    let products = |i: usize| {
+        let mut sum = [0.0; 2];
+        if i > 0 && i + 1 < increments.len() {
+            for (axis, error) in standardized(&increments[i], spread).into_iter().enumerate() {
+                let change = 0.5 * (speed(i + 1, axis) - speed(i - 1, axis));
+                let change = change / increments[i].deviation(spread, axis);
+                sum[0] -= error * change;
+                sum[1] += change * change;
+            }
+        }
+        sum
+    };
+    (0..increments.len()).map(products).collect()
+}
+
+/// The least time between scans \[s\].
+const LEAST_SECS: f64 = 1e-3;
+/// One increment changes a standardized sum by one at the most.
 const LEAST_ROOT: f64 = 1.0;
 
-/// The log likelihood ratio of an odometry that lags behind the stamps, by Laplace's distribution of any width: noise that was fitted to
-/// a log has the lag in it. The rival is none or, if likelier, as much to the other side: the reference errs less between two poses.
+/// How surely the odometry lags behind the stamps: the sum of [`lag_products`] over its own root mean square, so that noise which was fitted
+/// to a log with a lag says no less.
 pub(super) struct OdometryLag;
 
 impl Family for OdometryLag {
@@ -159,32 +178,16 @@ impl Family for OdometryLag {
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
+        let recorded = &*log.comparison.recorded;
         let increments = increments_of(log.comparison, log.effects, log.fitted);
-        let track =
-            log.comparison.recorded.track.with_poses(log.comparison.corrected(&log.fitted.corrections));
-        // Sums over each half's increments: errors by axis, and how many.
-        let errors = |step: usize| {
-            let [late, reach] = [step as f64 - LAGS as f64, LAGS as f64].map(|steps| steps * LAG_SECS);
-            let mut sums = [[LEAST_ERROR, LEAST_ERROR, 1.0]; 2];
-            for (scan, increment) in lagging(&track, late, reach, &increments) {
-                let [along, turn] = increment.error.map(|error| error.abs() + LEAST_ERROR);
-                let sums = &mut sums[log.comparison.recorded.folds.half_of(scan + 1)];
-                sums.iter_mut().zip([along, turn, 1.0]).for_each(|(sum, more)| *sum += more);
-            }
-            sums
-        };
-        let all: Vec<[[f64; 3]; 2]> = (0..=2 * LAGS).map(errors).collect();
-        let ratios = |step: usize| -> Halves {
-            std::array::from_fn(|half| {
-                let [own, none, other] = [step, LAGS, 2 * LAGS - step].map(|step| all[step][half]);
-                own[2] * (0..2).map(|axis| (none[axis].min(other[axis]) / own[axis]).ln()).sum::<f64>()
-            })
-        };
-        // A lag below is within the interpolation.
-        let steps = (0..all.len()).filter(|step| step.abs_diff(LAGS) >= LEAST_STEPS);
-        let most = steps.map(ratios).max_by(|[a, b], [c, d]| (a + b).total_cmp(&(c + d)));
-        // The root of a ratio has no long tail.
-        vec![most.unwrap_or_default().map(|ratio| (2.0 * ratio.max(0.0)).sqrt())]
+        let products = lag_products(recorded.track.secs(), &increments, &log.fitted.nuisances.odometry_error);
+        let mut sums = [[0.0; 2]; 2];
+        for (scan, [product, _]) in products.into_iter().enumerate() {
+            let [sum, squares] = &mut sums[recorded.folds.half_of(scan + 1)];
+            *sum += product;
+            *squares += product * product;
+        }
+        vec![sums.map(|[sum, squares]| sum / squares.sqrt().max(f64::MIN_POSITIVE))]
     }
 }
 

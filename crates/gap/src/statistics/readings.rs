@@ -30,8 +30,6 @@ pub(crate) struct Reading<'a> {
     /// Index of its beam in the log.
     pub index: usize,
     pub beam: &'a Beam,
-    /// Heading of the beam in the map frame \[rad\].
-    pub heading: f64,
     /// Change of the expected range by the fitted error of the reference \[m\].
     pub shift: f64,
     /// The reading, at most the maximum range \[m\].
@@ -55,7 +53,7 @@ impl<'a> Readings<'a> {
         has_pose_errors: bool,
         pit: &Draw,
     ) -> Self {
-        let (views, poses) = (&*comparison.views, comparison.recorded.track.poses());
+        let views = &*comparison.views;
         let max = comparison.nominal.laser.max_range_m;
         let mut all = Vec::with_capacity(views.beams.len());
         comparison.for_each_reading(views, effects, fitted, |scan, index, density, shift, z, terms| {
@@ -73,7 +71,6 @@ impl<'a> Readings<'a> {
                 half: comparison.recorded.folds.half_of(scan),
                 index,
                 beam,
-                heading: poses[scan].theta + beam.view.bearing,
                 shift,
                 z,
                 terms,
@@ -107,8 +104,7 @@ impl<'a> Readings<'a> {
 impl Reading<'_> {
     /// Where it is in the map \[m\].
     pub fn point(&self) -> DVec2 {
-        let view = &self.beam.view;
-        view.endpoint - (view.range - self.z) * DVec2::from_angle(self.heading)
+        self.beam.view.point_at(self.z)
     }
 
     /// The score of a contamination: a beam that no clutter blocks has the density `other` instead. It is the ratio of the two

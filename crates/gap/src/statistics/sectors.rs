@@ -11,9 +11,10 @@ use super::{Family, Form, Found, Group, Halves, OBJECT_CELL_M, Readings, Start, 
 
 /// Bins of bearing over the field of view: of 15 degrees for a full turn.
 const BEARINGS: usize = 24;
-/// Length of a bin of range \[m\], and the most of them: a part of the robot is within 6 m.
+/// How far from its laser a robot may have a part of its own \[m\].
+pub(crate) const ROBOT_REACH_M: f64 = 2.0;
+/// Length of a bin of range \[m\].
 const RANGE_BIN_M: f64 = 0.25;
-const MOST_RANGES: f64 = 24.0;
 /// The most windows that fits start from, and the probability that they start at.
 const MOST_STARTS: usize = 2;
 const FIRST_PROBABILITY: f64 = 0.05;
@@ -44,7 +45,7 @@ impl Sectors {
         let width_rad = (last - first) / BEARINGS as f64;
         let bin = |bearing: &f64| ((bearing - first) / width_rad.max(1e-9)) as usize;
         let of_beams: Vec<usize> = bearings.iter().map(|bearing| bin(bearing).min(BEARINGS - 1)).collect();
-        let ranges = (survey.max_range / RANGE_BIN_M).ceil().min(MOST_RANGES) as usize;
+        let ranges = (survey.max_range.min(ROBOT_REACH_M) / RANGE_BIN_M).ceil() as usize;
         kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::Sector))
             .map(|kind| Self {
                 kind,

@@ -1,8 +1,11 @@
 //! The beams of a log by its reference poses and the map. Statistics are laid out over these, and never over readings: a
 //! log and its replicates have the same statistics.
 
+use std::sync::OnceLock;
+
 use locsim_comparison::{Comparison, jumps};
 use locsim_world::effect::BeamState;
+use rayon::prelude::*;
 
 use super::wall_cells::WallCells;
 
@@ -11,9 +14,8 @@ pub(crate) struct Survey<'a> {
     pub comparison: &'a Comparison<'a>,
     /// Velocity of the robot at each scan, in the map frame \[m/s, m/s, rad/s\].
     pub velocities: Vec<[f64; 3]>,
-    /// The two ranges of the edge that a beam is at.
-    pub jumps: Vec<Option<[f64; 2]>>,
-    pub(super) walls: WallCells,
+    jumps: OnceLock<Vec<Option<[f64; 2]>>>,
+    walls: OnceLock<WallCells>,
     /// The laser's maximum range \[m\].
     pub max_range: f64,
 }
@@ -21,15 +23,25 @@ pub(crate) struct Survey<'a> {
 impl<'a> Survey<'a> {
     pub fn new(comparison: &'a Comparison<'a>) -> Self {
         let (nominal, recorded) = (comparison.nominal, &*comparison.recorded);
-        let max_range = nominal.laser.max_range_m;
-        let scans = 0..comparison.views.scans();
         Self {
             comparison,
             velocities: recorded.velocities(),
-            jumps: scans.flat_map(|scan| jumps(nominal, recorded, scan)).collect(),
-            walls: WallCells::new(&comparison.views, max_range),
-            max_range,
+            jumps: OnceLock::new(),
+            walls: OnceLock::new(),
+            max_range: nominal.laser.max_range_m,
         }
+    }
+
+    /// The two ranges of the edge that a beam is at.
+    pub fn jumps(&self) -> &[Option<[f64; 2]>] {
+        let Comparison { nominal, recorded, views } = self.comparison;
+        let of_scan = |scan| jumps(nominal, recorded, scan);
+        self.jumps.get_or_init(|| (0..views.scans()).into_par_iter().flat_map_iter(of_scan).collect())
+    }
+
+    /// The cells of the map's walls.
+    pub(super) fn walls(&self) -> &WallCells {
+        self.walls.get_or_init(|| WallCells::new(&self.comparison.views, self.max_range))
     }
 
     /// The number of beams.

@@ -19,7 +19,7 @@ pub(super) struct WallShift {
 impl WallShift {
     pub fn all(survey: &Survey<'_>) -> Vec<Self> {
         kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::WallShift))
-            .map(|kind| Self { kind, walls: survey.walls.clone() })
+            .map(|kind| Self { kind, walls: survey.walls().clone() })
             .collect()
     }
 }
@@ -60,9 +60,9 @@ const LOSS_SHARES: [f64; 5] = [0.01, 0.03, 0.1, 0.3, 0.8];
 
 impl WallLoss {
     pub fn all(survey: &Survey<'_>) -> Vec<Self> {
-        let shares: Vec<f64> = survey.walls.counts().into_iter().map(detectable_share).collect();
+        let shares: Vec<f64> = survey.walls().counts().into_iter().map(detectable_share).collect();
         kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::WallLoss))
-            .map(|kind| Self { kind, walls: survey.walls.clone(), shares: shares.clone() })
+            .map(|kind| Self { kind, walls: survey.walls().clone(), shares: shares.clone() })
             .collect()
     }
 }

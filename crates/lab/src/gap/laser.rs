@@ -53,15 +53,17 @@ pub(super) fn with_mount(drive: Drive, scenario: &Laser, warnings: &mut Vec<Stri
 /// The drive with its beams in the order of the scenario's, matched by where they point.
 ///
 /// Lidars begin behind, ahead or at a side, some turn clockwise, and some have a beam at both ends of a full circle. Beams are taken when
-/// the log says; one that doesn't say so has the scenario's sweep.
+/// the log says; one that doesn't say so has the scenario's sweep. What has no return in the log has none in the scenario, whose maximum
+/// range may be rounded.
 pub(super) fn with_beams(drive: Drive, scenario: &Laser) -> Result<Drive, String> {
-    let log = &drive.laser;
-    let (range, max) = (log.max_range(), scenario.max_range());
+    let (range, max) = (drive.laser.max_range(), scenario.max_range());
     if (range - max).abs() > 1e-3 * max {
         return Err(format!(
             "a maximum range of {range} m doesn't fit the scenario's laser; its laser.max_range_m is {max}"
         ));
     }
+    let drive = if range == max { drive } else { with_max_range(drive, max)? };
+    let log = &drive.laser;
     let order = matching_beams(log.bearings(), scenario.bearings())?;
     let sweeps = log.beam_times_secs().iter().any(|&secs| secs != 0.0);
     let secs = if sweeps {
@@ -81,7 +83,7 @@ pub(super) fn with_beams(drive: Drive, scenario: &Laser) -> Result<Drive, String
         scenario.bearings().iter().zip(&order).map(bearing).collect(),
         secs,
         log.min_range(),
-        range,
+        max,
         log.base_from_laser(),
     )
     .map_err(|error| error.to_string())?;
@@ -90,6 +92,27 @@ pub(super) fn with_beams(drive: Drive, scenario: &Laser) -> Result<Drive, String
         DriveStep { scan: Scan { ranges }, ..step }
     });
     Ok(Drive { laser, steps: steps.collect() })
+}
+
+/// The drive with another maximum range \[m\], which readings without a return have.
+fn with_max_range(mut drive: Drive, max: f32) -> Result<Drive, String> {
+    let laser = &drive.laser;
+    let range = laser.max_range();
+    drive.laser = Laser::new(
+        laser.bearings().to_vec(),
+        laser.beam_times_secs().to_vec(),
+        laser.min_range(),
+        max,
+        laser.base_from_laser(),
+    )
+    .map_err(|error| error.to_string())?;
+    for reading in drive.steps.iter_mut().flat_map(|step| &mut step.scan.ranges) {
+        // What isn't a number stays so.
+        if *reading >= range.min(max) {
+            *reading = max;
+        }
+    }
+    Ok(drive)
 }
 
 /// For each beam of the scenario, the log's beam that points there; an error where one of either has no counterpart.
@@ -146,6 +169,25 @@ mod tests {
     /// `count` beams from `first` on, a step apart (rad).
     fn beams(first: f32, step: f32, count: usize) -> Vec<f32> {
         (0..count).map(|beam| first + beam as f32 * step).collect()
+    }
+
+    /// A data sheet's 8 m are 7.994 m in the log, or the other way around; a reading without a return is at either's maximum range.
+    #[test]
+    fn what_has_no_return_has_none_in_a_laser_of_about_the_same_range() {
+        let mut log = drive(beams(0.0, 1.0, 4));
+        log.steps[0].scan.ranges = vec![7.994, f32::NAN, 7.9, 8.0];
+        let with_range = |drive: &Drive, max: f32| with_max_range(drive.clone(), max).unwrap();
+        let rounded = with_range(&log, 7.994);
+        for (own, max) in [(&rounded, 8.0), (&log, 7.994)] {
+            let scenario = with_range(&drive(beams(0.0, 1.0, 4)), max).laser;
+            let found = with_beams(own.clone(), &scenario).unwrap();
+            let ranges = &found.steps[0].scan.ranges;
+            assert_eq!(found.laser.max_range(), max);
+            assert!(
+                ranges[0] == max && ranges[1].is_nan() && ranges[2] == 7.9 && ranges[3] == max,
+                "{ranges:?}"
+            );
+        }
     }
 
     #[test]

@@ -133,7 +133,9 @@ impl InOpen {
         let laser = simulator.laser().laser();
         let known: Vec<(f64, Pose2)> =
             steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))).collect();
-        let secs: Vec<f64> = known.iter().map(|(secs, _)| *secs).collect();
+        // Time counts from the first scan.
+        let start = known.first().map_or(0.0, |(secs, _)| *secs);
+        let secs: Vec<f64> = known.iter().map(|(secs, _)| secs - start).collect();
         let readings = simulator.scan_along(&secs, |i, _| known[i].1, seed);
         let simulated =
             known.iter().zip(readings.chunks(laser.beam_count())).map(|((secs, pose), ranges)| {
@@ -177,6 +179,7 @@ pub(super) fn in_open(
         Some(BlockModel::new(*blocks, map.geometry()).ok()?.lattice_in_reach(cell_m, near_m))
     };
     let in_reach = blocks.and_then(at_walls);
+    let is_measured = !map.geometry().wall_sigmas().is_empty();
     let beams = laser.beam_count();
     let (mut returns, mut open) = (vec![0_usize; beams], vec![Vec::new(); beams]);
     let mut hits = Hits::default();
@@ -191,9 +194,13 @@ pub(super) fn in_open(
                 return None;
             }
             let range = f64::from(ranges[beam]);
-            // What stands before the border of what is known may be a wall.
+            // What stands before the border of what is known may be a wall, as may what stands where a measured map has none.
             let is_in_front = range < f64::from(hits.range[beam]) - MARGIN_M;
-            if !is_in_front || hits.surface[beam] == NO_SURFACE || distances.is_unknown(hits.surface[beam]) {
+            let is_known = match hits.surface[beam] {
+                NO_SURFACE => !is_measured,
+                surface => !distances.is_unknown(surface),
+            };
+            if !is_in_front || !is_known {
                 return None;
             }
             let (sin, cos) = (pose.theta + f64::from(laser.bearings()[beam])).sin_cos();
@@ -407,6 +414,9 @@ mod tests {
         assert_eq!(added(Some(&blocks(0.5))), None);
         // Walls beyond the maximum range return nothing, and nothing stands where a reading without return seems to end.
         assert!(told_in(24.0, 0, walks, 2.0, Some(&blocks(0.5))).is_none());
+        // What is read where no wall is in reach is something all the same.
+        assert!(told_in(40.0, 3, walks, 2.0, Some(&blocks(0.5))).is_some());
+        assert!(told_in(40.0, 0, walks, 2.0, Some(&blocks(0.5))).is_none());
         // One beam in a place is a random reading; the same beams at all times see the robot.
         assert_eq!(told(3, |i, j| (i * 7 + 20 * j) % BEAMS, 2.0, Some(&blocks(0.5))), None);
         assert_eq!(told(3, |_, j| j, 2.0, Some(&blocks(0.5))), None);

@@ -34,7 +34,11 @@ impl Inspection {
         if let Some(drive) = &self.drive {
             drive.sections(f, width)?;
             if !self.reference_candidates.is_empty() {
-                writeln!(f, "  --reference-topic may name {}", self.reference_candidates.join(" or "))?;
+                let named = self.reference_candidates.join(" or ");
+                let text = format!(
+                    "none; --reference-topic may name {named}: errors, a split, `map` and `gap` need one"
+                );
+                section(f, width, "Reference", &[("poses", text)])?;
             }
         }
         let lack = |lacks: &[String]| {
@@ -227,7 +231,7 @@ fn noise(facts: &DriveFacts) -> String {
         }
     };
     let flat = readings.flat_noise_m.map_or_else(String::new, |sigma| {
-        format!("; at most {:.1} mm by neighbouring beams on flat walls", 1e3 * sigma)
+        format!("; {:.1} mm between neighbouring beams on flat walls, whose unevenness is in it", 1e3 * sigma)
     });
     format!("{still}{flat}")
 }

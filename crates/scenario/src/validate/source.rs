@@ -229,6 +229,9 @@ fn velocity_profile(check: &mut Checker<'_>, start: RawPose, segments: &[RawSegm
     RobotPath::VelocityProfile { start, segments: segments.collect() }
 }
 
+/// By so much of the time between two scans a sweep may be rounded up.
+const ROUNDED: f64 = 0.01;
+
 fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
     let rate_hz = check.number("laser.rate_hz", raw.rate_hz, Within(1e-3, 1e5));
     let min_range_m = check.number("laser.min_range_m", raw.min_range_m, LENGTH);
@@ -238,10 +241,12 @@ fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
         format!("{max} is not allowed; above laser.min_range_m, which is {min}")
     });
     let scan_secs = check.number("laser.scan_secs", raw.scan_secs, Within(0.0, 1e3));
-    check.refuse(scan_secs * rate_hz > 1.0, "laser.scan_secs", || {
-        let [sweep, period] = [scan_secs, 1.0 / rate_hz].map(number);
+    check.refuse(scan_secs * rate_hz > 1.0 + ROUNDED, "laser.scan_secs", || {
+        let [sweep, period] = [scan_secs, (1e4 / rate_hz).floor() / 1e4].map(number);
         format!("{sweep} is not allowed; a sweep ends before the next begins, after {period} s")
     });
+    // A sweep of 0.143 s, 7 times a second, is a rounded one.
+    let scan_secs = scan_secs.min(1.0 / rate_hz);
     LaserOptions {
         rate_hz,
         beams: check.count("laser.beams", raw.beams, 1, MAX_BEAMS),

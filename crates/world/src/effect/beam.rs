@@ -39,6 +39,13 @@ pub struct BeamView {
     pub behind: Option<f64>,
 }
 
+impl BeamView {
+    /// Where a reading of `range_m` lies in the map \[m\].
+    pub fn point_at(&self, range_m: f64) -> DVec2 {
+        self.endpoint - (self.range - range_m) * self.direction
+    }
+}
+
 /// Surface that a beam meets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HitKind {

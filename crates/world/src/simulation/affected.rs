@@ -354,6 +354,40 @@ fn scans_and_odometry_along_a_drive_are_the_drives() {
     assert_eq!(differing, 0, "time counts from the first scan");
 }
 
+/// Some beams read what they read among all, whatever effects they are under.
+#[test]
+fn some_beams_of_a_scan_read_what_they_read_among_all() {
+    let track =
+        Track::new((0..4).map(|i| (0.5 * f64::from(i), Pose2::new(1.5, 1.5, 0.3 * f64::from(i))))).unwrap();
+    let at = |i: usize, secs: f64| track.pose_during(i, secs);
+    let some = [0, 1, 5, 17, 35];
+    for kind in EffectKind::ALL {
+        let simulator = simulator(effects(vec![strong(kind)]));
+        let all = simulator.scan_along(track.secs(), at, 11);
+        let expected = all.chunks(36).flat_map(|scan| some.map(|beam| scan[beam].to_bits()));
+        let own = simulator.beams_along(&some, track.secs(), at, 11);
+        assert!(expected.eq(own.into_iter().map(f32::to_bits)), "{kind}");
+    }
+}
+
+/// Readings of a disc lie on it, for a laser that is turned on its robot and a robot that turns while it scans.
+#[test]
+fn a_reading_lies_where_its_beam_met_something() {
+    let center = DVec2::new(2.5, 2.0);
+    let disc = Effect::new(EffectKind::MissingObject, vec![center.x, center.y, 0.3], Vec::new()).unwrap();
+    let laser = LaserOptions { mount: Pose2::new(0.1, 0.05, 3.0), ..laser() };
+    let simulator = Simulator::new(room_map(), None, laser, effects(vec![disc])).unwrap();
+    let caster = simulator.caster();
+    let rays: Vec<_> = caster.rays(0..36, 0.0, |secs| Pose2::new(1.5, 1.5, 2.0 * secs)).collect();
+    let mut beams = Vec::new();
+    caster.cast(&rays, &mut beams);
+    let of_disc: Vec<_> = beams.iter().filter(|beam| !beam.is_mapped()).collect();
+    assert!(of_disc.len() >= 2);
+    for beam in of_disc {
+        assert!((beam.view.point_at(beam.range).distance(center) - 0.3).abs() < 1e-9);
+    }
+}
+
 /// Draws of effects are keyed by the stage of their own.
 #[test]
 fn draws_of_effects_are_their_own() {

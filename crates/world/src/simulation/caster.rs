@@ -1,3 +1,5 @@
+use std::collections::BTreeSet;
+
 use glam::DVec2;
 use locsim_core::{Laser, Pose2};
 
@@ -165,6 +167,26 @@ impl<'a> BeamCaster<'a> {
     /// [`BeamView::jump`].
     pub fn jump(&self, nominal: &[f64], beam: usize) -> Option<[f64; 2]> {
         jump_at(nominal, beam, self.is_closed)
+    }
+
+    /// The range jumps at the beams `beams` of a scan that starts at `start_secs`, for a robot at `map_from_base_at(secs)`.
+    pub fn jumps(
+        &self,
+        beams: &[usize],
+        start_secs: f64,
+        map_from_base_at: impl Fn(f64) -> Pose2,
+    ) -> Vec<Option<[f64; 2]>> {
+        let count = self.laser.beam_count();
+        let beside = |&beam: &usize| [beam + count - 1, beam, beam + 1].map(|beam| beam % count);
+        let cast: BTreeSet<usize> = beams.iter().flat_map(beside).collect();
+        let mut of_cast = Vec::new();
+        self.nominal_ranges(
+            self.rays(cast.iter().copied().collect::<Vec<_>>(), start_secs, map_from_base_at),
+            &mut of_cast,
+        );
+        let mut ranges = vec![f64::NAN; count];
+        cast.into_iter().zip(of_cast).for_each(|(beam, range)| ranges[beam] = range);
+        beams.iter().map(|&beam| self.jump(&ranges, beam)).collect()
     }
 
     /// Change of a beam's range with the robot's pose in the map frame \[m/m, m/m, m/rad\]; 0 where no surface is met.

@@ -64,10 +64,17 @@ pub fn simulate_drive(
     }
     let odometry = odometry_along(&truth, &robot.odometry_noise, simulator.effects(), seed);
 
+    let beams = simulator.all_beams();
     let scans: Vec<_> = (0..stamps.len())
         .into_par_iter()
         .map_init(Scratch::default, |scratch, i| {
-            let scan = simulator.sweep(seed, i as u32, stamps[i], |secs| trajectory.pose_at(secs), scratch);
+            let scan = simulator.sweep(
+                seed,
+                (i as u32, stamps[i]),
+                &beams,
+                |secs| trajectory.pose_at(secs),
+                scratch,
+            );
             let blocks = scratch.blocks.iter().map(|placement| placement.block(stamps[i])).collect();
             (scan, blocks)
         })

@@ -100,7 +100,7 @@ impl Simulator {
     }
 
     /// Casts the beams of its scans.
-    fn caster(&self) -> BeamCaster<'_> {
+    pub(super) fn caster(&self) -> BeamCaster<'_> {
         let laser = self.mounted.laser();
         BeamCaster {
             map: &self.map,
@@ -117,9 +117,10 @@ impl Simulator {
     /// blocks of its own: whatever the [resampling](super::BlockResampling) of a drive, observations of one
     /// seed are independent, in bursts of crosstalk too. An observation is one at the start of a drive, at 0 s.
     pub fn observe(&self, pose: &Pose2, seed: u64, observation: u32) -> Vec<f32> {
-        let mut out = vec![0.0; self.laser.laser().beam_count()];
+        let all = self.all_beams();
+        let mut out = vec![0.0; all.len()];
         let mut scratch = Scratch::default();
-        scratch.cast.update(&self.caster(), 0.0, |_| *pose);
+        scratch.cast.update(&self.caster(), &all, 0.0, |_| *pose);
         self.observe_into(pose, seed, observation, &mut scratch, &mut out);
         out
     }
@@ -131,7 +132,8 @@ impl Simulator {
     /// observations leave those there are as they were. Steps 0 to 2 are drawn from where these scans are learnt
     /// from.
     pub fn observe_many(&self, poses: Poses<'_>, per_pose: u32, seed: u64) -> Vec<f32> {
-        let beams = self.laser.laser().beam_count();
+        let all = self.all_beams();
+        let beams = all.len();
         let mut out = vec![0.0; poses.len() * per_pose as usize * beams];
         if out.is_empty() {
             return out;
@@ -142,7 +144,7 @@ impl Simulator {
             |scratch, (i, out)| {
                 let pose = poses.get(i);
                 let seed = draw.seed(i as u32);
-                scratch.cast.update(&self.caster(), 0.0, |_| pose);
+                scratch.cast.update(&self.caster(), &all, 0.0, |_| pose);
                 for (observation, out) in out.chunks_mut(beams).enumerate() {
                     self.observe_into(&pose, seed, observation as u32, scratch, out);
                 }
@@ -168,13 +170,18 @@ impl Simulator {
         self.read(cast, ranges, seed, observation, |_| observation, out);
     }
 
-    /// The scan number `step` of a drive, which a robot takes from `stamp_secs` on: each beam from where robot and
+    /// The numbers of all beams of the laser.
+    pub(super) fn all_beams(&self) -> Vec<usize> {
+        (0..self.laser.laser().beam_count()).collect()
+    }
+
+    /// Some beams of the scan number `step` of a drive, which a robot takes from `stamp_secs` on: each beam from where robot and
     /// blocks are at its own time. The blocks are left in `scratch`.
     pub(super) fn sweep(
         &self,
         seed: u64,
-        step: u32,
-        stamp_secs: f64,
+        (step, stamp_secs): (u32, f64),
+        beams: &[usize],
         map_from_base_at: impl Fn(f64) -> Pose2,
         scratch: &mut Scratch,
     ) -> Scan {
@@ -187,7 +194,7 @@ impl Simulator {
             model.place_blocks(&model.draw(seed, step), stamp_secs, robot, more_blocks);
             blocks.append(more_blocks);
         }
-        cast.update(&self.caster(), stamp_secs, map_from_base_at);
+        cast.update(&self.caster(), beams, stamp_secs, map_from_base_at);
         cast.ranges_among(blocks, &self.mounted, ranges);
         let mut scan = Scan { ranges: vec![0.0; ranges.len()] };
         self.read(cast, ranges, seed, step, burst_window, &mut scan.ranges);
@@ -208,14 +215,14 @@ impl Simulator {
         let noise = Draw::new(seed, Stage::Laser, step);
         if scan.beams.is_empty() {
             let max = f64::from(self.laser.laser().max_range());
-            for (beam, (reading, &range)) in out.iter_mut().zip(ranges).enumerate() {
-                *reading = self.laser.reading((range < max).then_some(range), &mut noise.item(beam as u32));
+            for ((reading, &range), beam) in out.iter_mut().zip(ranges).zip(scan.numbers()) {
+                *reading = self.laser.reading((range < max).then_some(range), &mut noise.item(beam));
             }
             return;
         }
         let chance = Draw::new(seed, Stage::Effect, step);
-        for (beam, (reading, &range)) in out.iter_mut().zip(ranges).enumerate() {
-            let cast = &scan.beams[beam];
+        let readings = out.iter_mut().zip(ranges);
+        for ((reading, &range), (cast, beam)) in readings.zip(scan.beams.iter().zip(scan.numbers())) {
             let is_blocked = range < cast.range;
             let met = if is_blocked { HitKind::Object } else { HitKind::Wall };
             let is_mapped = cast.is_mapped() && !is_blocked;
@@ -224,7 +231,7 @@ impl Simulator {
             let mut distribution = ReadingDistribution::nothing(options);
             let met = Met { kind: met, range, is_mapped };
             self.effects.fill(&mut distribution, options, &cast.view, met, burst);
-            *reading = distribution.sample(&mut noise.item(beam as u32), &mut chance.item(beam as u32));
+            *reading = distribution.sample(&mut noise.item(beam), &mut chance.item(beam));
         }
     }
 
@@ -232,11 +239,21 @@ impl Simulator {
     /// \[m\] in \[scan\]\[beam\] order. Blocks take new places, and time counts from the first scan, as in
     /// [`simulate_drive`](super::simulate_drive).
     pub fn scan_along(&self, secs: &[f64], at: impl Fn(usize, f64) -> Pose2 + Sync, seed: u64) -> Vec<f32> {
-        let beams = self.laser.laser().beam_count();
-        let mut out = vec![0.0; secs.len() * beams];
-        out.par_chunks_mut(beams).enumerate().for_each_init(Scratch::default, |scratch, (i, out)| {
+        self.beams_along(&self.all_beams(), secs, at, seed)
+    }
+
+    /// The same readings of the beams `beams` alone, in increasing order and at least one.
+    pub fn beams_along(
+        &self,
+        beams: &[usize],
+        secs: &[f64],
+        at: impl Fn(usize, f64) -> Pose2 + Sync,
+        seed: u64,
+    ) -> Vec<f32> {
+        let mut out = vec![0.0; secs.len() * beams.len()];
+        out.par_chunks_mut(beams.len()).enumerate().for_each_init(Scratch::default, |scratch, (i, out)| {
             let base_at = |secs| at(i, secs);
-            out.copy_from_slice(&self.sweep(seed, i as u32, secs[i], base_at, scratch).ranges);
+            out.copy_from_slice(&self.sweep(seed, (i as u32, secs[i]), beams, base_at, scratch).ranges);
         });
         out
     }

@@ -2,11 +2,16 @@ use std::sync::Arc;
 
 use glam::DVec2;
 
+use super::SimulationError;
+use super::error::check_count;
 use crate::map::Geometry;
 
 /// The longest piece of a wall \[m\]: door frames, radiators and posters are about as wide, and a piece of it has readings of several
 /// scans.
 const PIECE_M: f64 = 0.25;
+
+/// The most pieces of a map: 250 km of wall.
+const MOST_PIECES: f64 = 1e6;
 
 /// Beams more grazing than this count as this (cosine of 81 deg): their range changes by at most this much more than the wall moves.
 const GRAZING: f64 = 0.15;
@@ -24,17 +29,22 @@ pub struct WallPieces {
 
 impl WallPieces {
     /// Those of a map; `None` of one whose walls are taken for exact.
-    pub fn new(geometry: &Geometry) -> Option<Self> {
+    ///
+    /// # Errors
+    /// [`SimulationError::TooMany`] where the walls are too long.
+    pub fn new(geometry: &Geometry) -> Result<Option<Self>, SimulationError> {
         if geometry.wall_sigmas().is_empty() {
-            return None;
+            return Ok(None);
         }
+        let pieces = |[a, b]: &[DVec2; 2]| (a.distance(*b) / PIECE_M).ceil().max(1.0);
+        let all: f64 = geometry.walls().iter().map(pieces).sum();
+        check_count("quarter metres of a measured map's walls", all, MOST_PIECES)?;
         let (mut first, mut sigmas) = (vec![0], Vec::new());
-        for ([a, b], sigma) in geometry.walls().iter().zip(geometry.wall_sigmas()) {
-            let pieces = (a.distance(*b) / PIECE_M).ceil().max(1.0) as usize;
-            sigmas.extend(std::iter::repeat_n(*sigma, pieces));
+        for (wall, sigma) in geometry.walls().iter().zip(geometry.wall_sigmas()) {
+            sigmas.extend(std::iter::repeat_n(*sigma, pieces(wall) as usize));
             first.push(sigmas.len() as u32);
         }
-        Some(Self { walls: geometry.walls().to_vec(), first, sigmas })
+        Ok(Some(Self { walls: geometry.walls().to_vec(), first, sigmas }))
     }
 
     /// Standard deviation of the offset across of each piece, as the map has it \[m\].
@@ -96,7 +106,7 @@ mod tests {
         let walls = vec![wall([1.1, 0.0], 0.002), wall([0.0, 0.1], 0.005)];
         let seen = vec![vec![[-1.0, -1.0], [2.0, -1.0], [2.0, 2.0], [-1.0, 2.0]]];
         let geometry = MeasuredMap { seen, walls }.to_geometry().unwrap();
-        let pieces = WallPieces::new(&geometry).unwrap();
+        let pieces = WallPieces::new(&geometry).unwrap().unwrap();
         assert_eq!(pieces.sigmas(), [0.002, 0.002, 0.002, 0.002, 0.002, 0.005]);
         for piece in 0..6 {
             let [a, b] = pieces.ends(piece);

@@ -132,7 +132,9 @@ fn a_carmen_log_has_no_topics() {
     let topics = BagTopics { scan: Some("/scan".to_owned()), ..BagTopics::default() };
     let refused = read_log(&path, &LogOptions { topics, ..LogOptions::default() }).unwrap_err().to_string();
     assert!(
-        refused.ends_with("a topic is named; allowed: topics of a ROS 2 bag; found: a CARMEN log"),
+        refused.ends_with(
+            "topics are named, by options or in `log.topics`; allowed: for a ROS 2 bag; found: a CARMEN log"
+        ),
         "{refused}"
     );
 }
