@@ -171,7 +171,7 @@ pub fn find(
         path.named.extend(more);
     }
     let remaining = state.remaining(&mut path)?;
-    let outcome = state.outcome(path, remaining, nameless)?;
+    let outcome = state.outcome(path, remaining.as_ref(), nameless)?;
     Ok(Outcome { map: known.map(|known| known.findings), ..outcome })
 }
 

@@ -34,7 +34,7 @@ impl<'a> State<'a> {
     pub fn outcome(
         &self,
         path: Path<'a>,
-        remaining: Option<Candidate>,
+        remaining: Option<&Candidate>,
         nameless: Nameless,
     ) -> Result<Outcome, GapError> {
         let State { nominal, recorded, options, .. } = *self;
@@ -58,7 +58,7 @@ impl<'a> State<'a> {
         );
         let [old, new] = of_profiles.each_ref().map(|logs| &logs[..LOGS]);
         let judged = [self.judge(before)?, self.judge(after)?];
-        let gap = self.gap(&rounds, &named, remaining.as_ref(), judged, [old, new]);
+        let gap = self.gap(&rounds, &named, remaining, judged, [old, new]);
         let Nameless { unnamed, curves } = nameless;
         let residual = self.residual_stage(after, &unnamed, curves, new)?;
         let is_ambiguous = named.iter().any(|named| named.candidates.len() > 1);
@@ -182,12 +182,11 @@ impl<'a> State<'a> {
         let simulated = |range: Range<usize>| -> Result<Vec<Recorded>, GapError> {
             range.into_par_iter().map(|i| Ok(replay.simulate(draw.seed(i as u32))?)).collect()
         };
-        let known = match round.logs.get() {
-            Some(known) => known,
-            None => {
-                let first = simulated(0..LOGS)?;
-                round.logs.get_or_init(|| first)
-            }
+        let known = if let Some(known) = round.logs.get() {
+            known
+        } else {
+            let first = simulated(0..LOGS)?;
+            round.logs.get_or_init(|| first)
         };
         if logs <= LOGS {
             return Ok(Cow::Borrowed(known));

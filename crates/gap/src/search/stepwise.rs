@@ -45,6 +45,9 @@ fn most_gaining(candidates: &[Candidate]) -> Option<Candidate> {
     candidates.iter().max_by(|a, b| a.gain().total_cmp(&b.gain())).cloned()
 }
 
+/// The effect that would gain most on top, if any would.
+struct Remaining(Option<Candidate>);
+
 /// The steps from the nominal world to the named effects.
 pub struct Path<'a> {
     /// The nominal world first, the one with all effects last.
@@ -55,7 +58,7 @@ pub struct Path<'a> {
     first_choice: usize,
     pub rivals: Vec<Rival>,
     /// The effect that would gain most on top of the last round, once that is known; see [`State::remaining`].
-    remaining: Option<Option<Candidate>>,
+    remaining: Option<Remaining>,
     /// A remark on the choice, for the report.
     pub note: Option<String>,
 }
@@ -128,14 +131,14 @@ impl<'a> State<'a> {
                 if let Some(most) = rest.as_ref().filter(|_| off) {
                     path.rivals.extend(compare_rivals(&candidates, most, path.rounds.len()));
                 }
-                path.remaining = Some(rest);
+                path.remaining = Some(Remaining(rest));
                 break;
             };
             let chosen = &candidates[best].effect;
             let adds_to = path.named.iter().position(|known| adds_up(&known.effect, chosen));
             if adds_to.is_some() && path.rounds.len() > 2 * options.most_effects {
                 // The sum of an effect's fits doesn't settle.
-                path.remaining = Some(Some(candidates[best].clone()));
+                path.remaining = Some(Remaining(Some(candidates[best].clone())));
                 break;
             }
             let (p, nuisances) = (round.null.p, round.fitted.nuisances);
@@ -184,7 +187,7 @@ impl<'a> State<'a> {
 
     /// The effect that would gain most on top of all that is named.
     pub fn remaining(&self, path: &mut Path<'a>) -> Result<Option<Candidate>, GapError> {
-        if let Some(known) = path.remaining.take() {
+        if let Some(Remaining(known)) = path.remaining.take() {
             return Ok(known);
         }
         if path.named.is_empty() {
