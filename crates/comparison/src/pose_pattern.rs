@@ -50,15 +50,17 @@ impl PosePattern {
     }
 }
 
-/// Errors of each pose of a log in all patterns, drawn as large in each as the process is: a reference whose errors come and go by so much is
-/// off by about as much all along, which its fit can't tell from a displaced laser or a late stamp. None where the reference is exact.
+/// Errors of each pose of a log in all patterns, drawn as large in each as the process is, or as [`MOST_M`] and [`MOST_RAD`]: a reference whose
+/// errors come and go by so much is off by about as much all along, which its fit can't tell from a displaced laser or a late stamp. None where
+/// the reference is exact.
 pub fn errors_in_patterns(process: &PoseError, recorded: &Recorded, rng: &mut impl Rng) -> Vec<DVec3> {
     let mut errors = vec![DVec3::ZERO; recorded.scans()];
     if process.is_none() {
         return errors;
     }
     let PoseError { sigma_m, sigma_rad, .. } = *process;
-    let sigmas = DVec3::new(sigma_m, sigma_m, sigma_rad).max(DVec3::splat(LEAST_SIGMA));
+    let sigma_m = sigma_m.min(MOST_M);
+    let sigmas = DVec3::new(sigma_m, sigma_m, sigma_rad.min(MOST_RAD)).max(DVec3::splat(LEAST_SIGMA));
     for pattern in PosePattern::all_over(recorded) {
         let squares = pattern.iter().map(|error| (*error / sigmas).length_squared()).sum::<f64>();
         let normal: f64 = StandardNormal.sample(rng);
@@ -68,6 +70,10 @@ pub fn errors_in_patterns(process: &PoseError, recorded: &Recorded, rng: &mut im
     errors
 }
 
+/// A process that was fitted to a log with a strong effect has a part of that in it. No reference that is worth its name is off all along by more
+/// than these \[m, rad\]: a centimetre and 0.15 degrees.
+const MOST_M: f64 = 0.01;
+const MOST_RAD: f64 = 0.0026;
 /// The least standard deviation of a process \[m, rad\].
 const LEAST_SIGMA: f64 = 1e-6;
 
@@ -93,8 +99,9 @@ mod tests {
     #[test]
     fn errors_in_each_pattern_are_as_large_as_the_process() {
         let recorded = Recorded::new(&DRIVE, 100, 24, |_| true).unwrap();
-        let process = PoseError { sigma_m: 0.02, sigma_rad: 0.004, correlation_secs: 2.0, ..PoseError::NONE };
-        let sigmas = DVec3::new(0.02, 0.02, 0.004);
+        let process =
+            PoseError { sigma_m: 0.008, sigma_rad: 0.002, correlation_secs: 2.0, ..PoseError::NONE };
+        let sigmas = DVec3::new(0.008, 0.008, 0.002);
         let mean_square = |process: &PoseError| {
             let draws = 4000;
             let of_draw = |i: u32| {

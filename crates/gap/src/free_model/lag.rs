@@ -90,7 +90,10 @@ fn lag_by_odometry(recorded: &Recorded, spread: &OdometrySpread, increments: &[I
         sum.iter_mut().zip(products).for_each(|(sum, more)| *sum += more);
     }
     let [product, squares] = [0, 1].map(|which| sums.iter().map(|sum| sum[which]).sum::<f64>());
-    let squares = squares.max(f64::MIN_POSITIVE);
+    if squares <= 0.0 {
+        // No speed has changed.
+        return SmallLag { secs: 0.0, error: f64::INFINITY };
+    }
     let secs = product / squares;
     let rests = sums.iter().map(|[product, squares]| (product - secs * squares).powi(2));
     SmallLag { secs, error: rests.sum::<f64>().sqrt() / squares }

@@ -141,21 +141,25 @@ impl Family for Slips {
 }
 
 /// By how much each increment speaks for an odometry that lags behind the stamps: the product of its errors with the changes of speed by
-/// which a lag of a second would be off, e = -lag dv, and the squares of these; nothing of the first and the last one. Both are in standard
-/// deviations. The speeds are the odometry's own, of the increments before and after: errors of the reference aren't in them.
+/// which a lag of a second would be off, e = -lag dv, and that of these with the same changes by the reference; nothing of the first and the
+/// last one. All are in standard deviations. The speeds are the odometry's own, of the increments before and after: errors of the reference
+/// aren't in them, and their own noise isn't in the reference's (instrumental variables).
 pub(crate) fn lag_products(secs: &[f64], increments: &[Increment], spread: &OdometrySpread) -> Vec<[f64; 2]> {
-    let speed = |i: usize, axis: usize| {
+    // By the odometry and by the reference.
+    let speeds = |i: usize, axis: usize| {
         let Increment { truth, error, .. } = &increments[i];
-        (truth[axis] + error[axis]) / (secs[i + 1] - secs[i]).max(LEAST_SECS)
+        let lasting = (secs[i + 1] - secs[i]).max(LEAST_SECS);
+        [truth[axis] + error[axis], truth[axis]].map(|motion| motion / lasting)
     };
     let products = |i: usize| {
         let mut sum = [0.0; 2];
         if i > 0 && i + 1 < increments.len() {
             for (axis, error) in standardized(&increments[i], spread).into_iter().enumerate() {
-                let change = 0.5 * (speed(i + 1, axis) - speed(i - 1, axis));
-                let change = change / increments[i].deviation(spread, axis);
-                sum[0] -= error * change;
-                sum[1] += change * change;
+                let (before, after) = (speeds(i - 1, axis), speeds(i + 1, axis));
+                let deviation = increments[i].deviation(spread, axis);
+                let [own, reference] = [0, 1].map(|of| 0.5 * (after[of] - before[of]) / deviation);
+                sum[0] -= error * own;
+                sum[1] += own * reference;
             }
         }
         sum

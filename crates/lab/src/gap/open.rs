@@ -41,8 +41,23 @@ const OF_ROBOT_SHARE: f64 = 0.1;
 const OF_ROBOT_M: f64 = 0.1;
 /// Side of the cells, of which two by two are a place \[m\].
 const PLACE_M: f64 = 0.5;
+/// What has moved by this in such a place walks: a thing that stays is seen from elsewhere, by its own size at the most \[m\].
+const WALKED_M: f64 = 0.4;
 /// Share of these readings that the distance in the warning holds.
 const MOST: f64 = 0.95;
+
+/// A reading in the open.
+#[derive(Clone, Copy)]
+struct Open {
+    /// Index of its scan.
+    scan: usize,
+    /// Where it lies \[m\].
+    end: DVec2,
+    /// Distance to the nearest wall \[m\].
+    distance: f64,
+    /// \[m\].
+    range: f64,
+}
 
 /// Readings in the open.
 pub(super) struct InOpen {
@@ -183,13 +198,13 @@ pub(super) fn in_open(
     let beams = laser.beam_count();
     let (mut returns, mut open) = (vec![0_usize; beams], vec![Vec::new(); beams]);
     let mut hits = Hits::default();
-    for step in steps {
+    for (scan, step) in steps.iter().enumerate() {
         let Some(reference) = step.reference else { continue };
         let pose = reference.compose(&laser.base_from_laser());
         let poses: Particles = std::iter::once(pose).collect();
         map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
         let ranges = &step.scan.ranges;
-        let in_open = |beam: usize| -> Option<(f64, DVec2, f64)> {
+        let in_open = |beam: usize| -> Option<Open> {
             if ranges[beam] >= laser.max_range() {
                 return None;
             }
@@ -210,9 +225,9 @@ pub(super) fn in_open(
                 let at = (end / cell_m).round();
                 !in_reach.contains(&[at.x as i32, at.y as i32])
             });
-            is_in_open.then_some((distance, end, range))
+            is_in_open.then_some(Open { scan, end, distance, range })
         };
-        let found: Vec<Option<(f64, DVec2, f64)>> = (0..beams).map(in_open).collect();
+        let found: Vec<Option<Open>> = (0..beams).map(in_open).collect();
         for beam in 0..beams {
             returns[beam] += usize::from(ranges[beam] < laser.max_range());
             let sees_it_too = |other: Option<usize>| {
@@ -223,29 +238,25 @@ pub(super) fn in_open(
             open[beam].extend(found[beam].filter(|_| neighbours.into_iter().any(sees_it_too)));
         }
     }
-    let share = |beam: usize| open[beam].len() as f64 / returns[beam].max(1) as f64;
+    // Of all scans: a beam that ends nowhere has no returns but of what is in the open.
+    let share = |beam: usize| open[beam].len() as f64 / steps.len().max(1) as f64;
     let most = OF_ROBOT_SHARE + 2.0 * median(&mut (0..beams).map(share).collect::<Vec<_>>());
     let is_alike = |beam: usize| {
         let [low, high] = [0.1, 0.9].map(|share| {
-            quantile(&mut open[beam].iter().map(|(_, _, range)| *range).collect::<Vec<_>>(), share)
+            quantile(&mut open[beam].iter().map(|reading| reading.range).collect::<Vec<_>>(), share)
         });
         high - low < OF_ROBOT_M
     };
     let told = (0..beams).filter(|&beam| share(beam) <= most || !is_alike(beam)).flat_map(|beam| &open[beam]);
-    let (mut farthest, ends): (Vec<f64>, Vec<DVec2>) =
-        told.map(|(distance, end, _)| (*distance, *end)).unzip();
+    let told: Vec<Open> = told.copied().collect();
+    let mut farthest: Vec<f64> = told.iter().map(|reading| reading.distance).collect();
     let share = farthest.len() as f64 / returns.iter().sum::<usize>().max(1) as f64;
     let is_told = farthest.len() >= LEAST_READINGS && share >= LEAST_SHARE;
     let are_few = farthest.len() < FEW_READINGS || share < FEW_SHARE;
-    let places: Vec<[i32; 2]> = ends.iter().map(|end| cell_at(*end, PLACE_M)).collect();
-    let in_place = |[x, y]: [i32; 2]| {
-        places.iter().filter(|[i, j]| (x..=x + 1).contains(i) && (y..=y + 1).contains(j)).count()
-    };
-    let cells: BTreeSet<[i32; 2]> = places.iter().copied().collect();
-    let is_one_thing = cells.into_iter().any(|place| 2 * in_place(place) > farthest.len());
-    let across = |end: &DVec2| across_from(*end, map.geometry().segments());
-    let every = ends.len().div_ceil(PLACES).max(1);
-    let across_m = ends.iter().step_by(every).filter_map(across).fold(0.0, f64::max);
+    let is_one_thing = is_one_thing(&told);
+    let across = |reading: &Open| across_from(reading.end, map.geometry().segments());
+    let every = told.len().div_ceil(PLACES).max(1);
+    let across_m = told.iter().step_by(every).filter_map(across).fold(0.0, f64::max);
     (!are_few).then(|| InOpen {
         share,
         most_m: quantile(&mut farthest, MOST),
@@ -254,6 +265,27 @@ pub(super) fn in_open(
         is_told,
         is_one_thing,
     })
+}
+
+/// Whether most readings are of one thing that stays where it is. Somebody who walks by is in one place, too.
+fn is_one_thing(readings: &[Open]) -> bool {
+    let places: Vec<[i32; 2]> = readings.iter().map(|reading| cell_at(reading.end, PLACE_M)).collect();
+    let is_in = |[x, y]: [i32; 2], [i, j]: [i32; 2]| (x..=x + 1).contains(&i) && (y..=y + 1).contains(&j);
+    let in_place = |place: [i32; 2]| -> Vec<Open> {
+        let own = readings.iter().zip(&places).filter(|(_, own)| is_in(place, **own));
+        own.map(|(reading, _)| *reading).collect()
+    };
+    let cells: BTreeSet<[i32; 2]> = places.iter().copied().collect();
+    let most = cells.into_iter().map(in_place).max_by_key(Vec::len).unwrap_or_default();
+    2 * most.len() > readings.len() && moved_m(most) < WALKED_M
+}
+
+/// By how much the middle of readings moves from the first third of them to the last \[m\].
+fn moved_m(mut readings: Vec<Open>) -> f64 {
+    readings.sort_by_key(|reading| reading.scan);
+    let third = readings.len().div_ceil(3);
+    let middle = |part: &[Open]| part.iter().map(|reading| reading.end).sum::<DVec2>() / part.len() as f64;
+    middle(&readings[..third]).distance(middle(&readings[readings.len() - third..]))
 }
 
 /// The least distance straight across from a wall to a point \[m\]; `None` where there is no wall across.
@@ -387,6 +419,18 @@ mod tests {
         assert_eq!(across(-0.5, -0.5), Some(2.5));
         assert_eq!(across(5.0, 5.0), Some(8.0));
         assert_eq!(across(5.0, 12.0), None);
+    }
+
+    /// A post that is seen from both sides, one who walks by within a metre, and two posts.
+    #[test]
+    fn one_thing_stays_where_it_is() {
+        let at = |scan: usize, x: f64| Open { scan, end: DVec2::new(x, 0.1), distance: 3.0, range: 2.0 };
+        let post: Vec<Open> = (0..60).map(|scan| at(scan, if scan < 30 { 0.1 } else { 0.35 })).collect();
+        assert!(is_one_thing(&post));
+        let walks: Vec<Open> = (0..60).map(|scan| at(scan, 0.05 + 0.015 * scan as f64)).collect();
+        assert!(!is_one_thing(&walks));
+        let two: Vec<Open> = (0..60).map(|scan| at(scan, 5.0 * (scan % 2) as f64)).collect();
+        assert!(!is_one_thing(&two) && !is_one_thing(&[]));
     }
 
     #[test]

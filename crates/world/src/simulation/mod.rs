@@ -10,7 +10,7 @@
 //! drive on any number of threads.
 
 #[cfg(test)]
-mod affected;
+mod affected_tests;
 mod block_integral;
 mod blocks;
 mod cast_scan;
