@@ -423,7 +423,7 @@ fn scans_that_were_not_taken_in_whole_are_warned_of() {
     let rows = models.flat_map(|model| &mut model.steps);
     rows.filter(|row| row.step < 3).for_each(|row| row.likelihood_power = 0.0);
     let standing = locsim_report::warnings(&standing);
-    let expected = format!("6 of {} scans", 2 * STEPS);
+    let expected = format!("6 of the {} scans of all trials", 2 * STEPS);
     assert!(standing.len() == 1 && standing[0].contains(&expected), "{standing:?}");
 }
 

@@ -256,7 +256,8 @@ pub(super) fn in_open(
     let is_one_thing = is_one_thing(&told);
     let across = |reading: &Open| across_from(reading.end, map.geometry().segments());
     let every = told.len().div_ceil(PLACES).max(1);
-    let across_m = told.iter().step_by(every).filter_map(across).fold(0.0, f64::max);
+    // Off a corner the wall across may be that of the hall's other end, and strips as deep take long.
+    let across_m = told.iter().step_by(every).filter_map(across).fold(0.0, f64::max).min(FARTHEST_M);
     (!are_few).then(|| InOpen {
         share,
         most_m: quantile(&mut farthest, MOST),
