@@ -347,7 +347,7 @@ impl<'a> Pool<'a> {
 /// finer: what decides are the stretches that can be compared. A last one that isn't full goes with the one before.
 fn cut(seen: &[usize]) -> Vec<u32> {
     let scans = (seen.len() / STRETCHES).max(LEAST_SCANS);
-    let readings = seen.iter().sum::<usize>().div_ceil(STRETCHES).max(1);
+    let readings = seen.iter().sum::<usize>().div_ceil((seen.len() / scans).max(1)).max(1);
     let mut stretches = Vec::with_capacity(seen.len());
     let (mut stretch, mut from, mut sum) = (0_u32, 0, 0);
     for (scan, &count) in seen.iter().enumerate() {
@@ -385,4 +385,31 @@ fn before(alternative: Alternative, mean: f64) -> [f64; 2] {
     };
     let front = below(mean - REACH_M);
     [front, below(mean + REACH_M) - front]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lengths(seen: &[usize]) -> Vec<usize> {
+        cut(seen).chunk_by(|a, b| a == b).map(<[u32]>::len).collect()
+    }
+
+    /// Of 220 scans that see the same, stretches have 13 but for the rest, which goes with the last. Where 60 are seen, these make twelve instead
+    /// of five; the others stay as they are.
+    #[test]
+    fn stretches_that_the_other_log_has_seen_are_finer() {
+        assert_eq!(lengths(&[50; 220]), [vec![13; 15], vec![25]].concat());
+        let few: Vec<usize> = (0..220).map(|scan| if scan < 60 { 70 } else { 0 }).collect();
+        let all = lengths(&few);
+        assert_eq!(all[..12], [5; 12]);
+        assert!(all[12..all.len() - 1].iter().all(|&length| length == 13), "{all:?}");
+        assert_eq!(all.iter().sum::<usize>(), 220);
+        // A short log that the other has seen all of is in stretches of ten.
+        assert_eq!(
+            (lengths(&[0; 8]), lengths(&[3; 12]), lengths(&[3; 40])),
+            (vec![8], vec![12], vec![10; 4])
+        );
+        assert!(cut(&[]).is_empty());
+    }
 }

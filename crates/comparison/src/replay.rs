@@ -22,10 +22,10 @@ const REFERENCE_ERROR: u32 = 1;
 const TOLD_ERROR: u32 = 2;
 /// Item of a piece of wall.
 const WALL_ERROR: u32 = 3;
-/// Errors of the reference that go with the motion all along.
-const PATTERN_ERROR: u32 = 5;
 /// Item of what all walls stand off by.
 const MAP_BIAS: u32 = 4;
+/// Item of errors of the reference that outlast the log.
+const PATTERN_ERROR: u32 = 5;
 /// Standard deviation of what all walls of a measured map stand off by \[m\]: held-out readings of measured logs have medians of
 /// 0.4 to 1.3 cm from such maps.
 const MAP_BIAS_M: f64 = 0.01;
@@ -130,8 +130,8 @@ impl<'a> Replay<'a> {
         Some(MovedWalls { pieces, offsets })
     }
 
-    /// The recorded poses with errors as the log's reference poses have them, those included that last longer than the log, and what is known of these, which is taken off: nothing where
-    /// nothing is known of the log's, and otherwise what scans like its own tell.
+    /// The recorded poses with errors as the log's reference poses have them, those that outlast it included, and what is known of these, which
+    /// is taken off: nothing where nothing is known of the log's, and otherwise what scans like its own tell.
     pub fn errors(&self, seed: u64) -> (Track, Vec<DVec3>) {
         let (track, process) = (&self.recorded.track, &self.nuisances.pose_error);
         let draw = |item| move |scan| Draw::new(seed, Stage::Path, scan).item(item);

@@ -279,6 +279,29 @@ fn a_frame_of_its_own_is_told_and_errors_that_come_and_go_are_none() {
     }
 }
 
+/// Headings of a reference err by 2 mrad for half a second and by 1.5 all along: that is no turned laser, and 10 mrad are.
+#[test]
+fn a_reference_that_errs_may_err_all_along() {
+    let nominal = nominal();
+    let errs = PoseError { sigma_m: 0.003, sigma_rad: 0.002, correlation_secs: 0.5, ..PoseError::NONE };
+    for (turned, expected) in [(0.0015, None), (0.01, Some(EffectKind::MountYaw))] {
+        let regime = Regime { pose_error: Some(errs), ..Regime::default() };
+        let mut drive = record_library(&nominal, &truth(400), &[], regime, 5).unwrap();
+        for reference in drive.steps.iter_mut().filter_map(|step| step.reference.as_mut()) {
+            *reference = Pose2::new(reference.x, reference.y, reference.theta - turned);
+        }
+        let outcome = search(&nominal, &Recorded::new(&drive, 600, 72, |_| true).unwrap(), Vec::new());
+        let names: Vec<_> = outcome.effects.iter().map(|named| named.name).collect();
+        assert_eq!(
+            names,
+            Vec::from_iter(expected),
+            "{turned}: {:?} {:?}",
+            outcome.detection,
+            outcome.nuisances
+        );
+    }
+}
+
 /// The robot's odometry has 2 % of noise, the scenario's guess is seven times that.
 #[test]
 fn an_odometry_is_named_although_its_noise_is_guessed() {

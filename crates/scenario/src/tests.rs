@@ -50,6 +50,18 @@ pub(super) fn edited(text: &str, from: &str, to: &str) -> String {
     text.replacen(from, to, 1)
 }
 
+/// Seven sweeps a second last 0.1429 s each, which a data sheet may round up; none lasts longer than its period.
+#[test]
+fn a_sweep_may_be_rounded_up() {
+    let of = |secs: &str| {
+        parse(&edited(&text("simulation.yaml"), "scan_secs: 0.1", &format!("scan_secs: {secs}")))
+    };
+    let Source::Simulation(simulation) = of("0.2015").unwrap().source else { panic!("no simulation") };
+    let laser = simulation.laser;
+    assert_eq!(laser.scan_secs, 1.0 / laser.rate_hz);
+    assert!(of("0.203").unwrap_err().to_string().contains("laser.scan_secs: 0.203"));
+}
+
 #[test]
 #[expect(clippy::too_many_lines, reason = "one expected value for each section of the file, written out")]
 fn every_key_arrives_in_si_units_and_radians() {

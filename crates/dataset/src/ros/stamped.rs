@@ -311,3 +311,16 @@ impl Stamped<Pose2> {
         Some(a.interpolate(b, share))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Times of recording may be anything in a database.
+    #[test]
+    fn times_at_both_ends_of_the_clock_are_borne() {
+        let mut poses = Stamped::of([i64::MIN, 0, i64::MAX].map(|time| (time, Pose2::IDENTITY)).to_vec());
+        assert_eq!(poses.interval(), Some(i64::MAX));
+        assert_eq!(poses.arrange(), Ok(0));
+    }
+}

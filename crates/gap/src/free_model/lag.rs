@@ -1,7 +1,7 @@
 //! An odometry that lags behind the stamps.
 
 use locsim_comparison::{Comparison, Fitted};
-use locsim_core::Recorded;
+use locsim_core::{Recorded, normal};
 use locsim_world::effect::Effects;
 use locsim_world::simulation::{Increment, OdometrySpread, lagging, standardized};
 
@@ -66,37 +66,34 @@ pub(crate) fn lag(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitte
 }
 
 /// A lag \[s\] with its standard error.
-struct SmallLag {
+struct LagEstimate {
     secs: f64,
     error: f64,
 }
 
-impl SmallLag {
+impl LagEstimate {
     /// Whether it is surely longer than `least` \[s\], to one side.
     fn is_beyond(&self, sign: f64, least: f64) -> bool {
-        sign * self.secs - SURE_ERRORS * self.error > least
+        sign * self.secs - normal::QUANTILE_975 * self.error > least
     }
 }
 
-/// Standard errors that make a lag sure.
-const SURE_ERRORS: f64 = 2.0;
-
 /// The lag by how the odometry's errors go with its changes of speed; see [`lag_products`]. A lag that is longer than a step of the log comes
 /// out shorter or longer, but not as none.
-fn lag_by_odometry(recorded: &Recorded, spread: &OdometrySpread, increments: &[Increment]) -> SmallLag {
+fn lag_by_odometry(recorded: &Recorded, spread: &OdometrySpread, increments: &[Increment]) -> LagEstimate {
     let mut sums = vec![[0.0; 2]; recorded.folds.count()];
     for (i, products) in lag_products(recorded.track.secs(), increments, spread).into_iter().enumerate() {
         let sum = &mut sums[recorded.folds.of_scan(i + 1)];
         sum.iter_mut().zip(products).for_each(|(sum, more)| *sum += more);
     }
-    let [product, squares] = [0, 1].map(|which| sums.iter().map(|sum| sum[which]).sum::<f64>());
-    if squares <= 0.0 {
+    let [product, changes] = [0, 1].map(|which| sums.iter().map(|sum| sum[which]).sum::<f64>());
+    if changes <= 0.0 {
         // No speed has changed.
-        return SmallLag { secs: 0.0, error: f64::INFINITY };
+        return LagEstimate { secs: 0.0, error: f64::INFINITY };
     }
-    let secs = product / squares;
-    let rests = sums.iter().map(|[product, squares]| (product - secs * squares).powi(2));
-    SmallLag { secs, error: rests.sum::<f64>().sqrt() / squares }
+    let secs = product / changes;
+    let rests = sums.iter().map(|[product, changes]| (product - secs * changes).powi(2));
+    LagEstimate { secs, error: rests.sum::<f64>().sqrt() / changes }
 }
 
 #[cfg(test)]
@@ -126,7 +123,7 @@ mod tests {
         }
     }
     /// Headings of the reference err by 20 mrad, each on its own, and by less where they are interpolated. That is a lag in no more than 1 of 20
-    /// logs: two standard errors are exceeded by chance in 1 of 40.
+    /// logs: 1.96 standard errors are exceeded to one side by chance in 1 of 40.
     #[test]
     fn a_reference_that_errs_less_between_its_poses_is_no_lag() {
         let sure = |seed: u64| {

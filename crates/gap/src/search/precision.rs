@@ -98,8 +98,8 @@ impl<'a> State<'a> {
         Ok(())
     }
 
-    /// Log likelihood of each log, from its nuisances on, as \[log\]\[variant\]: of the effects themselves, of each number of one of them a step up
-    /// and down, and of each two up.
+    /// Log likelihood of each log, from its nuisances on, as \[log\]\[variant\]: of the effects themselves, of each number of one of them a step
+    /// up and down, and of each two up.
     fn totals(
         &self,
         effects: &[Effect],

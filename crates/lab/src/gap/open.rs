@@ -272,13 +272,12 @@ pub(super) fn in_open(
 fn is_one_thing(readings: &[Open]) -> bool {
     let places: Vec<[i32; 2]> = readings.iter().map(|reading| cell_at(reading.end, PLACE_M)).collect();
     let is_in = |[x, y]: [i32; 2], [i, j]: [i32; 2]| (x..=x + 1).contains(&i) && (y..=y + 1).contains(&j);
-    let in_place = |place: [i32; 2]| -> Vec<Open> {
-        let own = readings.iter().zip(&places).filter(|(_, own)| is_in(place, **own));
-        own.map(|(reading, _)| *reading).collect()
-    };
+    let count = |place: &[i32; 2]| places.iter().filter(|own| is_in(*place, **own)).count();
     let cells: BTreeSet<[i32; 2]> = places.iter().copied().collect();
-    let most = cells.into_iter().map(in_place).max_by_key(Vec::len).unwrap_or_default();
-    2 * most.len() > readings.len() && moved_m(most) < WALKED_M
+    let Some(most) = cells.into_iter().max_by_key(count) else { return false };
+    let own = readings.iter().zip(&places).filter(|(_, own)| is_in(most, **own));
+    let own: Vec<Open> = own.map(|(reading, _)| *reading).collect();
+    2 * own.len() > readings.len() && moved_m(own) < WALKED_M
 }
 
 /// By how much the middle of readings moves from the first third of them to the last \[m\].

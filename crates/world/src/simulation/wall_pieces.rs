@@ -116,5 +116,8 @@ mod tests {
         assert_eq!(pieces.at(0, DVec2::new(-0.3, 0.1)), Some(0));
         assert_eq!(pieces.at(0, DVec2::new(1.3, 0.1)), Some(4));
         assert_eq!(pieces.at(2, DVec2::ZERO), None);
+        let seen = vec![vec![[-1.0, -1.0], [1e6, -1.0], [1e6, 2.0], [-1.0, 2.0]]];
+        let endless = MeasuredMap { seen, walls: vec![wall([9e5, 1.0], 0.01)] }.to_geometry().unwrap();
+        assert!(WallPieces::new(&endless).unwrap_err().to_string().contains("quarter metres"));
     }
 }

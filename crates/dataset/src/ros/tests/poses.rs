@@ -352,6 +352,16 @@ fn zero_is_no_return_where_a_driver_has_no_other_word_for_it() {
         let (zero, summary) = read(&[0.0, 1.0, other]);
         assert!(zero.is_nan() && !summary.evidence.contains("readings of 0"), "{summary}");
     }
+    // One reading in a thousand is of a driver, one in two thousand of dust on the window.
+    for (scans, is_word) in [(333, true), (700, false)] {
+        let mut bag = Bag::default().add("/odom", &odometry(1.0, &Pose2::IDENTITY));
+        for i in 0..scans {
+            let first = if i == 0 { 0.0 } else { 1.0 };
+            bag = bag.add("/scan", &scan(1.0 + 1e-3 * f64::from(i), &[first, 1.0, 1.0]));
+        }
+        let zero = bag.read(&BagOptions::default()).unwrap().0.steps[0].scan.ranges[0];
+        assert_eq!((zero == 8.0, zero.is_nan()), (is_word, !is_word), "{scans}");
+    }
 }
 
 /// NaN is no return where a driver has no other word for it, but not on beams that have nothing else, nor between two surfaces.
