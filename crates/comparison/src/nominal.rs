@@ -33,6 +33,10 @@ pub struct Nominal {
     pub pieces: Option<Arc<WallPieces>>,
 }
 
+/// Shapes of things in the open that an integral over them is summed over, a quarter of those of blocks: they are few, their places spread over
+/// metres, and beams meet those of each face around.
+const OPEN_SHAPES: u32 = 32;
+
 impl Nominal {
     /// Prepares a simulator.
     ///
@@ -78,11 +82,10 @@ impl Nominal {
 
     /// Prior of these blocks beside what is in the open.
     fn integral_of(&self, blocks: &BlockOptions) -> Result<Arc<BlockIntegral>, ComparisonError> {
-        let integral = |options: &BlockOptions| -> Result<BlockIntegral, ComparisonError> {
-            Ok(BlockIntegral::new(&BlockModel::new(*options, self.map.geometry())?))
-        };
-        let open = self.open.as_ref().map(integral).transpose()?;
-        Ok(Arc::new(integral(blocks)?.and(open.map(Arc::new))))
+        let model = |options: &BlockOptions| BlockModel::new(*options, self.map.geometry());
+        let open = self.open.as_ref().map(model).transpose()?;
+        let open = open.map(|model| Arc::new(BlockIntegral::with_shapes(&model, OPEN_SHAPES)));
+        Ok(Arc::new(BlockIntegral::new(&model(blocks)?).and(open)))
     }
 
     /// The same simulator without clutter.
