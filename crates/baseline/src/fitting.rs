@@ -1,5 +1,6 @@
 //! Effects fitted to today's log, and their net gain over an assignment's baseline.
 
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use locsim_core::Progress;
@@ -160,6 +161,24 @@ impl Search<'_> {
             Change::Odometry { effect, .. } => self.increments.gains(&known.usual, &[], effect, used),
         };
         assignment.net(&self.today(change, logs, assignment, known), &baseline)
+    }
+
+    /// The probabilities that an effect's bursts last in each of today's windows of time; `None` of an effect without bursts.
+    pub fn lasting(
+        &self,
+        effect: &Effect,
+        given: &Given,
+        expected: &[Expected],
+        logs: &[Vec<f64>; 2],
+        assignment: &Assignment,
+        known: &Known,
+    ) -> Result<Option<HashMap<u32, f64>>, GapError> {
+        if effect.bursts().is_none() {
+            return Ok(None);
+        }
+        let given = given.of_these(|other| !is_of_odometry(other.kind));
+        let trial = Trial::new(self.pool, &given, effect.clone(), expected, None)?;
+        Ok(trial.burst_probabilities(self.pool, &known.learnt, &logs[1], &assignment.is_today))
     }
 
     /// Log densities of the readings without and with the given effects.

@@ -225,7 +225,10 @@ impl Search<'_> {
                     && (first.is_noisier == Some(false) || changes.noise_of_every_beam_m.is_some())
                 || is_of_named_wall(effect, given)
                 || effect.kind.displaces_laser() && differs_less(first.floor)
-                || effect.kind.is_of_random_readings() && !are_behind_as_well(self.pool, effect)
+                || effect.kind.is_of_random_readings() && {
+                    let lasting = self.lasting(effect, given, expected, logs, assignment, known)?;
+                    !are_behind_as_well(self.pool, effect, lasting.as_ref())
+                }
                 || is_bias(effect.kind)
                     && differs_less(first.floor)
                     && self.is_farther_off(effect, beside, assignment, known, 0.0)?

@@ -126,6 +126,11 @@ impl Search<'_> {
                     parameter.role == Role::Strength && (effect.values[i] - parameter.neutral).abs() > alone;
             }
         }
+        if let Some(share) = self.share_of_bursts(&effect, given, expected, &logs, assignment, known)?
+            && let Some(i) = parameters.iter().position(|parameter| parameter.name == "share")
+        {
+            effect.values[i] = share;
+        }
         let numbers = parameters.iter().zip(&effect.values).zip(halves);
         let numbers =
             numbers.filter(|((parameter, _), _)| !parameter.is_extra()).map(|((parameter, &value), half)| {
@@ -134,6 +139,25 @@ impl Search<'_> {
                 (parameter.name, Number { estimate, unit: parameter.unit })
             });
         Ok(Precise { numbers: numbers.collect(), effect, is_known })
+    }
+
+    /// The share of today's readings that bursts fall on, by the windows that they surely last in; `None` of an effect without bursts. Likelihoods of
+    /// shares count windows: where few beams of a window end at places that both logs have seen, any that is off looks like a burst.
+    fn share_of_bursts(
+        &self,
+        effect: &Effect,
+        given: &Given,
+        expected: &[Expected],
+        logs: &[Vec<f64>; 2],
+        assignment: &Assignment,
+        known: &Known,
+    ) -> Result<Option<f64>, GapError> {
+        let lasting = self.lasting(effect, given, expected, logs, assignment, known)?;
+        Ok(lasting.map(|of_window| {
+            let today = || self.pool.at_shared_places().iter().filter(|reading| reading.log == 1);
+            let sum: f64 = today().map(|reading| of_window.get(&reading.window).unwrap_or(&0.0)).sum();
+            sum / today().count().max(1) as f64
+        }))
     }
 
     /// Gains about a fit, which is moved away from limits; `None` where some parameter gains on both sides.

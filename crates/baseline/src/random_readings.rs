@@ -1,5 +1,7 @@
 //! Whether random readings fall behind walls as well as in front of them: what stands or walks before walls is in front alone.
 
+use std::collections::HashMap;
+
 use locsim_world::effect::Effect;
 
 use super::pool::Pool;
@@ -32,19 +34,29 @@ impl Behind {
     }
 }
 
-/// Whether today's log has the readings behind walls that an effect of random readings predicts; so where they are too few to tell.
-pub(super) fn are_behind_as_well(pool: &Pool<'_>, effect: &Effect) -> bool {
-    let spread = effect.bursts().map_or_else(|| effect.clone(), |bursts| bursts.spread);
-    let Some(p) = spread.value("p") else { return true };
+/// Whether today's log has the readings behind walls that an effect of random readings predicts; so where they are too few to tell. `lasting` are
+/// the probabilities that bursts last in each window of time.
+pub(super) fn are_behind_as_well(
+    pool: &Pool<'_>,
+    effect: &Effect,
+    lasting: Option<&HashMap<u32, f64>>,
+) -> bool {
+    let bursts = effect.bursts();
+    let while_they_last = bursts.map(|bursts| if lasting.is_some() { bursts.on } else { bursts.spread });
+    let Some(p) = while_they_last.as_ref().unwrap_or(effect).value("p") else { return true };
     let max = pool.nominal.laser.max_range_m;
     let mut logs = [Behind::default(); 2];
-    for reading in &pool.readings {
+    for reading in pool.at_shared_places() {
         let (from, z) = (f64::from(reading.expected.mean) + BEHIND_M, f64::from(reading.z));
         if from < max {
+            let weight = match lasting {
+                Some(of_window) if reading.log == 1 => of_window.get(&reading.window).copied().unwrap_or(0.0),
+                _ => 1.0,
+            };
             let of = &mut logs[reading.log];
-            of.count += 1.0;
-            of.behind += f64::from(u8::from(z > from && z < max));
-            of.room += 1.0 - from / max;
+            of.count += weight;
+            of.behind += if z > from && z < max { weight } else { 0.0 };
+            of.room += weight * (1.0 - from / max);
         }
     }
     let [baseline, today] = logs;

@@ -321,7 +321,8 @@ fn objects(pool: &Pool<'_>) -> Vec<Effect> {
     discs.filter_map(|values| Effect::new(EffectKind::MissingObject, values, Vec::new()).ok()).collect()
 }
 
-/// Stretches of wall, with the readings of beams that end there, most of which come from the right.
+/// Stretches of wall, with the readings of beams that end there, most of which come from the right. Walls that meet in a cell are stretches of
+/// their own.
 fn walls(pool: &Pool<'_>) -> Vec<([DVec2; 2], Vec<u32>)> {
     let mut cells: BTreeMap<[i32; 2], Vec<u32>> = BTreeMap::new();
     for (index, reading) in pool.readings.iter().enumerate() {
@@ -331,16 +332,25 @@ fn walls(pool: &Pool<'_>) -> Vec<([DVec2; 2], Vec<u32>)> {
             cells.entry(cell_at(end, WALL_CELL_M)).or_default().push(index as u32);
         }
     }
-    let mut stretches: Vec<([DVec2; 2], Vec<u32>)> = cells
-        .into_values()
-        .filter_map(|among| {
-            let views = || among.iter().map(|&index| pool.beam(&pool.readings[index as usize]).view);
-            let [a, b] = line_through(&views().map(|view| view.endpoint).collect::<Vec<_>>())?;
-            let from_right: f64 = views().map(|view| line_of(&[a, b]).away(view.direction)).sum();
-            let place = if from_right < 0.0 { [b, a] } else { [a, b] };
-            (among.len() >= LEAST_OF_WALL).then_some((place, among))
-        })
-        .collect();
+    let view = |index: u32| pool.beam(&pool.readings[index as usize]).view;
+    let mut stretches = Vec::new();
+    for mut left in cells.into_values() {
+        while left.len() >= LEAST_OF_WALL {
+            let Some([a, b]) = line_through(&left.iter().map(|&i| view(i).endpoint).collect::<Vec<_>>())
+            else {
+                break;
+            };
+            let line = line_of(&[a, b]);
+            let is_on = |&i: &u32| line.distance(view(i).endpoint) < PLACE_REACH_M;
+            let (on, others): (Vec<u32>, Vec<u32>) = left.into_iter().partition(is_on);
+            if on.len() < LEAST_OF_WALL {
+                break;
+            }
+            let from_right: f64 = on.iter().map(|&i| line.away(view(i).direction)).sum();
+            stretches.push((if from_right < 0.0 { [b, a] } else { [a, b] }, on));
+            left = others;
+        }
+    }
     // Those that both logs have seen come first.
     let shared = pool.at_shared_places().len() as u32;
     let seen = |among: &[u32]| (among.iter().filter(|&&index| index < shared).count(), among.len());

@@ -120,9 +120,11 @@ const ODOMETRY_TURN_PER_M: f64 = 0.05;
 const SLIP: (f64, f64) = (0.2, 0.3);
 /// Readings that a disc has to hide, a wall has to lose: one in this many of all.
 const LEAST_SHARE: usize = 400;
-/// Share of the readings that a disc hides, a wall loses, which end where the baseline's do: what changes where the baseline hasn't
+/// Share of the readings that a disc hides which end where the baseline's do: what changes where the baseline hasn't
 /// been is no change since. And the side of the cells in which that is looked up \[m\].
 const KNOWN_SHARE: f64 = 0.8;
+/// The baseline has returns of a wall that is lost, so many for each lost one.
+const RETURNED: f64 = 0.25;
 const KNOWN_CELL_M: f64 = 0.5;
 /// Readings this far from each other \[m\], and no farther off their line than this, tell the slant of a surface.
 const LINE_M: f64 = 0.3;
@@ -171,7 +173,7 @@ impl Edit {
             }
             Self::Bursts => disturb(drive, &draw),
             Self::Disc => draw_disc(drive, &Known::new(baseline), &draw),
-            Self::WallLost => lose_wall(drive, &Known::new(baseline), &draw),
+            Self::WallLost => lose_wall(drive, &ends(baseline), &draw),
             Self::OdometryScaled => {
                 each_increment(drive, |_, step| {
                     Pose2::new(step.x * (1.0 + ODOMETRY_SCALE), step.y * (1.0 + ODOMETRY_SCALE), step.theta)
@@ -332,8 +334,11 @@ fn incidence(ranges: &[f32], bearings: &[f64], beam: usize, max: f32) -> Option<
     None
 }
 
-/// Pose of the laser and reading of a beam in the map.
-fn ends(drive: &Drive) -> Vec<(usize, usize, [f64; 2], [f64; 2])> {
+/// A scan, a beam of it, where the laser was, and where the reading ends in the map \[m\].
+type End = (usize, usize, [f64; 2], [f64; 2]);
+
+/// The readings below the maximum range.
+fn ends(drive: &Drive) -> Vec<End> {
     let (max, bearings) = (drive.laser.max_range(), bearings(drive));
     let mut ends = Vec::new();
     for (scan, step) in drive.steps.iter().enumerate() {
@@ -411,8 +416,8 @@ fn draw_disc(drive: &mut Drive, known: &Known, draw: &Draw) -> Option<Truth> {
     None
 }
 
-/// Loses all returns of a stretch of wall on which many readings lie.
-fn lose_wall(drive: &mut Drive, known: &Known, draw: &Draw) -> Option<Truth> {
+/// Loses all returns of a stretch of wall on which many readings lie, of the baseline as well.
+fn lose_wall(drive: &mut Drive, baseline: &[End], draw: &Draw) -> Option<Truth> {
     let ends = ends(drive);
     let least = ends.len() / LEAST_SHARE;
     let max = drive.laser.max_range();
@@ -429,15 +434,12 @@ fn lose_wall(drive: &mut Drive, known: &Known, draw: &Draw) -> Option<Truth> {
             let (t, off) = (x * along[0] + y * along[1], y * along[0] - x * along[1]);
             t.abs() < 0.5 * WALL_M.0 && off.abs() < WALL_M.1
         };
-        let (lost, on): (Vec<_>, Vec<_>) = ends
-            .iter()
-            .filter(|(.., end)| on_wall(end))
-            .map(|&(scan, beam, _, end)| ((scan, beam), end))
-            .unzip();
-        if lost.len() < least || !known.has_most_of(&on) {
+        let lost: Vec<_> = ends.iter().filter(|(.., end)| on_wall(end)).collect();
+        let returned = baseline.iter().filter(|(.., end)| on_wall(end)).count();
+        if lost.len() < least || (returned as f64) < RETURNED * lost.len() as f64 {
             continue;
         }
-        for (scan, beam) in lost {
+        for &&(scan, beam, ..) in &lost {
             drive.steps[scan].scan.ranges[beam] = max;
         }
         return Some(Truth { effect: Some("glass".to_owned()), strength: None });
