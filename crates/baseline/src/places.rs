@@ -3,7 +3,7 @@
 //! Some change of one place is in any two logs: a door, a person. Permutations of stretches can't tell how rare a place is that few
 //! stretches see. But the places of both logs can: the best place is held against the next ones, those included where the baseline
 //! differs from today's log as today's log does from the baseline. Were it one of them, its distance to the next would be
-//! exponential with their scale (Renyi 1953).
+//! exponential with their scale (Renyi 1953). How large that is the others say, who are few; it is no smaller than that of independent readings.
 //!
 //! A wall that has moved is judged by the root of its gain. An object or a pane has to gain, too, and is judged by how many beams it
 //! stops or lets through in either log: by the Bayes factor of two shares over one, which knows how often the baseline has looked.
@@ -14,6 +14,7 @@ use glam::DVec2;
 use locsim_gap::GapError;
 use locsim_world::effect::{Effect, EffectKind, Moves};
 use rayon::prelude::*;
+use statrs::distribution::{ContinuousCDF, Gamma};
 use statrs::function::beta::ln_beta;
 
 use super::assignment::Assignment;
@@ -27,6 +28,8 @@ use super::trials::{Trial, usual};
 const APART_M: f64 = 2.5;
 /// The places that the best one is held against.
 const OTHERS: usize = 10;
+/// The scale of scores of independent readings, about.
+const LEAST_SCALE: f64 = 1.0;
 /// Objects whose position is fitted before they are compared: those that gain most.
 const FITTED_OBJECTS: usize = 15;
 /// Kinds of effect at a place.
@@ -92,12 +95,9 @@ impl Best {
         // Where nothing is tried nothing gains.
         let score = |i: usize| others.get(i).map_or(0.0, |other| other.score);
         let excess: f64 = (0..OTHERS).map(|i| score(i) - score(OTHERS)).sum();
-        // Those of independent readings have a scale of about 1.
-        let scale = (excess / OTHERS as f64).max(1.0);
-        let z = (best.score - score(0)) / scale;
-        // The scale is that of ten exponential numbers.
-        let p = (KINDS * (1.0 + z.max(0.0) / OTHERS as f64).powi(-(OTHERS as i32))).min(1.0);
-        Some(Self { place: best.clone(), z, p })
+        let beyond = best.score - score(0);
+        let z = beyond / (excess / OTHERS as f64).max(LEAST_SCALE);
+        Some(Self { place: best.clone(), z, p: (KINDS * chance_beyond(beyond.max(0.0), excess)).min(1.0) })
     }
 
     /// The best place of each kind.
@@ -108,6 +108,18 @@ impl Best {
         };
         today.iter().filter_map(best).collect()
     }
+}
+
+/// Chance that an exponential number is larger than `beyond` where [`OTHERS`] of its scale sum up to `sum`, a scale below [`LEAST_SCALE`] being as that. Of
+/// scales whose prior is 1 / scale, the inverse has a gamma distribution then.
+fn chance_beyond(beyond: f64, sum: f64) -> f64 {
+    // The part of the distribution below the inverse of the least scale, if its rate is such.
+    let below = |rate: f64| {
+        Gamma::new(OTHERS as f64, rate.max(f64::MIN_POSITIVE))
+            .map_or(1.0, |gamma| gamma.cdf(1.0 / LEAST_SCALE))
+    };
+    let of_larger = (sum / (sum + beyond).max(f64::MIN_POSITIVE)).powi(OTHERS as i32) * below(sum + beyond);
+    of_larger + (1.0 - below(sum)) * (-beyond / LEAST_SCALE).exp()
 }
 
 impl Search<'_> {
@@ -262,6 +274,23 @@ mod tests {
         assert_eq!(effective(&[[0.0, 7.0]; 3]), [0.0, 21.0]);
     }
 
+    /// Against the integral over scales.
+    #[test]
+    fn a_scale_that_few_say_is_no_smaller_than_one() {
+        for (beyond, sum) in [(8.0, 0.6), (16.0, 18.0), (5.0, 9.0), (0.0, 4.0)] {
+            let (mut all, mut above) = (0.0, 0.0);
+            for i in 0..400_000_u32 {
+                // The logarithm of the scale, whose prior is flat.
+                let scale = (-8.0 + 16.0 * (f64::from(i) + 0.5) / 4e5_f64).exp();
+                let weight = scale.powi(-(OTHERS as i32)) * (-sum / scale).exp();
+                all += weight;
+                above += weight * (-beyond / scale.max(1.0)).exp();
+            }
+            let chance = chance_beyond(beyond, sum);
+            assert!((chance / (above / all) - 1.0).abs() < 1e-4, "{beyond} {sum}: {chance} {}", above / all);
+        }
+    }
+
     /// Eleven others with roots 2 above the least of them on average, and a best place beside the largest one, of root 6.
     #[test]
     fn a_place_stands_out_by_its_distance_to_the_next() {
@@ -278,13 +307,14 @@ mod tests {
         };
         let found = best_of(26.0);
         assert!(
-            (found.z - 10.0).abs() < 1e-9 && (found.p - 3.0 * 2.0_f64.powi(-10)).abs() < 1e-12,
+            (found.z - 10.0).abs() < 1e-9 && (found.p - 3.0 * 2.0_f64.powi(-10)).abs() < 1e-9,
             "{}",
             found.z
         );
         assert_eq!(best_of(5.5).p, 1.0);
         // Beside nothing the scale is 1.
-        assert!((Best::new(&[at(0.0, 10.0)], &[]).unwrap().z - 10.0).abs() < 1e-9);
+        let alone = Best::new(&[at(0.0, 10.0)], &[]).unwrap();
+        assert!((alone.z - 10.0).abs() < 1e-9 && (alone.p - 3.0 * (-10.0_f64).exp()).abs() < 1e-12);
         assert!(Best::new(&[], &others(1)).is_none());
     }
 }

@@ -226,21 +226,32 @@ impl BlockTruth {
             return Ok(self);
         }
         let all = comparison.effects(effects)?;
-        let replay = Replay::new(comparison, effects, fitted, self);
         let draw = Purpose::BlockDensity.draw(seed);
-        let densities = (0..12)
-            .into_par_iter()
-            .map(|i| {
-                let simulated = replay.simulate(draw.seed(i))?;
-                let refitted = comparison.of(&simulated).find_nuisances(&all, &fitted.nuisances, 4);
-                Ok(refitted.nuisances.block_density)
-            })
-            .collect::<Result<Vec<f64>, ComparisonError>>()?;
-        let mean = densities.iter().sum::<f64>() / densities.len() as f64;
-        let simulated = fitted.nuisances.block_density * self.density_over_fit;
-        Ok(Self { density_over_fit: (simulated / mean).clamp(0.5, 2.0), ..self })
+        let seeming = |truth: Self| -> Result<f64, ComparisonError> {
+            let replay = Replay::new(comparison, effects, fitted, truth);
+            let densities = (0..12)
+                .into_par_iter()
+                .map(|i| {
+                    let simulated = replay.simulate(draw.seed(i))?;
+                    let refitted = comparison.of(&simulated).find_nuisances(&all, &fitted.nuisances, 4);
+                    Ok(refitted.nuisances.block_density)
+                })
+                .collect::<Result<Vec<f64>, ComparisonError>>()?;
+            Ok(densities.iter().sum::<f64>() / densities.len() as f64)
+        };
+        let own = fitted.nuisances.block_density;
+        // Things in the open are in the reach of blocks as well.
+        let hardly_any = Self { density_over_fit: HARDLY_ANY, ..self };
+        let of_things = if comparison.nominal.has_things_in_the_open() { seeming(hardly_any)? } else { 0.0 };
+        let of_blocks = seeming(self)? - of_things;
+        let over = self.density_over_fit * (own - of_things) / of_blocks.max(f64::MIN_POSITIVE);
+        let limits = if of_things > 0.0 { HARDLY_ANY..=2.0 } else { 0.5..=2.0 };
+        Ok(Self { density_over_fit: over.clamp(*limits.start(), *limits.end()), ..self })
     }
 }
+
+/// Density of blocks over the fitted one where all that the log has in front of walls may be things in the open.
+const HARDLY_ANY: f64 = 0.02;
 
 /// Shares of clutter that doesn't stay which are tried.
 const SHARES: [f64; 5] = [0.25, 0.5, 0.75, 0.9, 1.0];

@@ -1,8 +1,6 @@
 //! Known edits of measured logs, written on poses and readings as plainly as can be. None of them knows a map or shares code with
 //! the simulator's effects.
 
-use std::collections::HashSet;
-
 use locsim_core::{Draw, Drive, Pose2, Stage, Track, wrap_angle};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -120,12 +118,8 @@ const ODOMETRY_TURN_PER_M: f64 = 0.05;
 const SLIP: (f64, f64) = (0.2, 0.3);
 /// Readings that a disc has to hide, a wall has to lose: one in this many of all.
 const LEAST_SHARE: usize = 400;
-/// Share of the readings that a disc hides which end where the baseline's do: what changes where the baseline hasn't
-/// been is no change since. And the side of the cells in which that is looked up \[m\].
-const KNOWN_SHARE: f64 = 0.8;
-/// The baseline has returns of a wall that is lost, so many for each lost one.
-const RETURNED: f64 = 0.25;
-const KNOWN_CELL_M: f64 = 0.5;
+/// The baseline has looked at what changes, with so many readings for each one that changes: what it hasn't seen is no change since.
+const LOOKED: f64 = 0.25;
 /// Readings this far from each other \[m\], and no farther off their line than this, tell the slant of a surface.
 const LINE_M: f64 = 0.3;
 const STRAIGHT_M: f64 = 0.05;
@@ -172,7 +166,7 @@ impl Edit {
                 Some(Truth::of("time_offset", "delay_secs", -LATE_SECS))
             }
             Self::Bursts => disturb(drive, &draw),
-            Self::Disc => draw_disc(drive, &Known::new(baseline), &draw),
+            Self::Disc => draw_disc(drive, &ends(baseline), &draw),
             Self::WallLost => lose_wall(drive, &ends(baseline), &draw),
             Self::OdometryScaled => {
                 each_increment(drive, |_, step| {
@@ -355,33 +349,12 @@ fn ends(drive: &Drive) -> Vec<End> {
     ends
 }
 
-/// Cells in which readings of the baseline end.
-struct Known(HashSet<[i32; 2]>);
-
-impl Known {
-    fn new(baseline: &Drive) -> Self {
-        Self(ends(baseline).into_iter().map(|(.., end)| Self::cell(end)).collect())
-    }
-
-    fn cell(end: [f64; 2]) -> [i32; 2] {
-        end.map(|x| (x / KNOWN_CELL_M).floor() as i32)
-    }
-
-    /// Whether most of these ends are in them.
-    fn has_most_of(&self, ends: &[[f64; 2]]) -> bool {
-        let known = ends.iter().filter(|end| self.0.contains(&Self::cell(**end))).count();
-        known as f64 >= KNOWN_SHARE * ends.len() as f64
-    }
-}
-
-/// Draws a disc into the room where many beams pass, clear of the robot's way.
-fn draw_disc(drive: &mut Drive, known: &Known, draw: &Draw) -> Option<Truth> {
+/// Draws a disc into the room where many beams pass, of the baseline as well, clear of the robot's way.
+fn draw_disc(drive: &mut Drive, baseline: &[End], draw: &Draw) -> Option<Truth> {
     let ends = ends(drive);
     let least = ends.len() / LEAST_SHARE;
     let poses: Vec<[f64; 2]> =
         drive.steps.iter().filter_map(|step| step.reference.map(|pose| [pose.x, pose.y])).collect();
-    let bearings = bearings(drive);
-    let mount = drive.laser.base_from_laser();
     for trial in 0..400 {
         let mut rng = draw.item(trial);
         let (_, _, from, to) = ends[rng.random_range(0..ends.len())];
@@ -390,30 +363,31 @@ fn draw_disc(drive: &mut Drive, known: &Known, draw: &Draw) -> Option<Truth> {
         if poses.iter().any(|pose| (pose[0] - center[0]).hypot(pose[1] - center[1]) < CLEAR_M + DISC_M) {
             continue;
         }
-        let (hidden, behind): (Vec<_>, Vec<_>) = ends
-            .iter()
-            .filter_map(|&(scan, beam, laser, end)| {
-                let range = (end[0] - laser[0]).hypot(end[1] - laser[1]);
-                let step = drive.steps[scan].reference?.compose(&mount);
-                let heading = step.theta + bearings[beam];
-                let to_center = [center[0] - laser[0], center[1] - laser[1]];
-                let along = to_center[0] * heading.cos() + to_center[1] * heading.sin();
-                let across = to_center[1] * heading.cos() - to_center[0] * heading.sin();
-                let chord = DISC_M * DISC_M - across * across;
-                let hit = along - chord.max(0.0).sqrt();
-                (chord > 0.0 && hit > 0.0 && hit < range).then_some(((scan, beam, hit), end))
-            })
-            .unzip();
-        if hidden.len() < least || !known.has_most_of(&behind) {
+        let hidden: Vec<_> =
+            ends.iter().filter_map(|end| disc_at(center, end).map(|range| (end.0, end.1, range))).collect();
+        let passed = baseline.iter().filter(|end| disc_at(center, end).is_some()).count();
+        if hidden.len() < least || (passed as f64) < LOOKED * hidden.len() as f64 {
             continue;
         }
-        for (scan, beam, hit) in hidden {
+        for (scan, beam, range) in hidden {
             let noise: f64 = StandardNormal.sample(&mut draw.at(1000 + scan as u32).item(beam as u32));
-            drive.steps[scan].scan.ranges[beam] = (hit + 0.01 * noise) as f32;
+            drive.steps[scan].scan.ranges[beam] = (range + 0.01 * noise) as f32;
         }
         return Some(Truth::of("missing_object", "radius_m", DISC_M));
     }
     None
+}
+
+/// Where a beam that passes through a disc meets it, from the laser \[m\].
+fn disc_at(center: [f64; 2], &(_, _, laser, end): &End) -> Option<f64> {
+    let [x, y] = [end[0] - laser[0], end[1] - laser[1]];
+    let range = x.hypot(y);
+    let to_center = [center[0] - laser[0], center[1] - laser[1]];
+    let along = (to_center[0] * x + to_center[1] * y) / range;
+    let across = (to_center[1] * x - to_center[0] * y) / range;
+    let chord = DISC_M * DISC_M - across * across;
+    let met = along - chord.max(0.0).sqrt();
+    (chord > 0.0 && met > 0.0 && met < range).then_some(met)
 }
 
 /// Loses all returns of a stretch of wall on which many readings lie, of the baseline as well.
@@ -436,7 +410,7 @@ fn lose_wall(drive: &mut Drive, baseline: &[End], draw: &Draw) -> Option<Truth> 
         };
         let lost: Vec<_> = ends.iter().filter(|(.., end)| on_wall(end)).collect();
         let returned = baseline.iter().filter(|(.., end)| on_wall(end)).count();
-        if lost.len() < least || (returned as f64) < RETURNED * lost.len() as f64 {
+        if lost.len() < least || (returned as f64) < LOOKED * lost.len() as f64 {
             continue;
         }
         for &&(scan, beam, ..) in &lost {

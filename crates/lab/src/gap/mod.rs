@@ -220,7 +220,10 @@ impl GapStudy {
             if let Some(found) = open::in_open(&steps, &drive.laser, &map, blocks) {
                 warnings.extend(found.warning());
                 let seed = Purpose::InTheOpen.draw(scenario.seed).seed(0);
-                in_the_open = found.things(&steps, &simulated, blocks, seed).map_err(GapError::from)?;
+                let effects = simulator.effects().map_err(GapError::from)?;
+                let empty = Simulator::new(Arc::clone(&map), None, simulator.laser, effects)
+                    .map_err(GapError::from)?;
+                in_the_open = found.things(&steps, &empty, blocks, seed).map_err(GapError::from)?;
                 added_blocks = found.blocks();
                 simulator.blocks = simulator.blocks.or(added_blocks);
             }

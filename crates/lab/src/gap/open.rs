@@ -63,6 +63,8 @@ struct Open {
 pub(super) struct InOpen {
     /// Their share of all returns.
     share: f64,
+    /// The share of returns that end in front of walls where blocks can be.
+    share_in_reach: f64,
     /// Distance to the nearest wall that most of them have at the most \[m\].
     most_m: f64,
     /// How far from walls blocks have to stand to be at all of these places \[m\].
@@ -118,22 +120,23 @@ impl InOpen {
         (self.reach_m.is_none() && self.is_told && !self.is_one_thing).then_some(blocks)
     }
 
-    /// People and things in the open beside a scenario's blocks, as many as the log has: the share of such readings in scans of a simulator along
-    /// the same poses says how many these are.
+    /// People and things in the open beside a scenario's blocks, as many as the log has: the share of such readings in scans of a simulator without
+    /// blocks along the same poses says how many these are. They are at walls as well, or keep so far from them that they alone don't make more readings
+    /// there than the log has; where they do all the same, they are fewer.
     ///
     /// # Errors
     /// As the simulator's.
     pub fn things(
         &self,
         steps: &[&DriveStep],
-        simulator: &Simulator,
+        empty: &Simulator,
         blocks: Option<&BlockOptions>,
         seed: u64,
     ) -> Result<Option<BlockOptions>, SimulationError> {
-        let Some(clearance_m) = blocks.map(|blocks| blocks.clearance_m).filter(|_| !self.is_one_thing) else {
+        let Some(blocks) = blocks.filter(|_| !self.is_one_thing) else {
             return Ok(None);
         };
-        let tried = BlockOptions {
+        let anywhere = BlockOptions {
             per_metre_of_wall: TRIED_PER_METRE,
             length_m: [0.1, 0.5],
             width_m: [0.1, 0.5],
@@ -142,31 +145,47 @@ impl InOpen {
             wall_distance_m: [0.0, self.across_m],
             resample: BlockResampling::EachObservation,
             speed_m_s: [0.0, 0.0],
-            clearance_m,
+            clearance_m: blocks.clearance_m,
         };
-        let simulator = simulator.clone().with_more_blocks(tried)?;
-        let laser = simulator.laser().laser();
         let known: Vec<(f64, Pose2)> =
             steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))).collect();
         // Time counts from the first scan.
         let start = known.first().map_or(0.0, |(secs, _)| *secs);
         let secs: Vec<f64> = known.iter().map(|(secs, _)| secs - start).collect();
-        let readings = simulator.scan_along(&secs, |i, _| known[i].1, seed);
-        let simulated =
-            known.iter().zip(readings.chunks(laser.beam_count())).map(|((secs, pose), ranges)| {
-                let scan = Scan { ranges: ranges.to_vec() };
-                DriveStep { stamp_secs: *secs, odometry: *pose, reference: Some(*pose), scan }
+        let laser = empty.laser().laser();
+        let seen = |tried: BlockOptions| -> Result<Option<Self>, SimulationError> {
+            let readings = empty.clone().with_more_blocks(tried)?.scan_along(&secs, |i, _| known[i].1, seed);
+            let simulated =
+                known.iter().zip(readings.chunks(laser.beam_count())).map(|((secs, pose), ranges)| {
+                    let scan = Scan { ranges: ranges.to_vec() };
+                    DriveStep { stamp_secs: *secs, odometry: *pose, reference: Some(*pose), scan }
+                });
+            let simulated: Vec<DriveStep> = simulated.collect();
+            Ok(in_open(&simulated.iter().collect::<Vec<_>>(), laser, empty.map(), Some(blocks)))
+        };
+        let mut things = None;
+        for share in FROM_WALLS {
+            let from_m = share * blocks.reach_m().min(self.across_m);
+            let tried = BlockOptions { wall_distance_m: [from_m, self.across_m], ..anywhere };
+            let Some(found) = seen(tried)? else { break };
+            let in_reach = self.share_in_reach / found.share_in_reach.max(f64::MIN_POSITIVE);
+            let times = (self.share / found.share).min(in_reach);
+            things = Some(BlockOptions {
+                resample: BlockResampling::EachScanN(BlockOptions::PASSING_SCANS),
+                // Some stand, some walk.
+                speed_m_s: [0.0, WALKING_M_S],
+                ..tried.times(times)
             });
-        let simulated: Vec<DriveStep> = simulated.collect();
-        let found = in_open(&simulated.iter().collect::<Vec<_>>(), laser, simulator.map(), blocks);
-        Ok(found.map(|found| BlockOptions {
-            resample: BlockResampling::EachScanN(BlockOptions::PASSING_SCANS),
-            // Some stand, some walk.
-            speed_m_s: [0.0, WALKING_M_S],
-            ..tried.times(self.share / found.share)
-        }))
+            if times < in_reach {
+                break;
+            }
+        }
+        Ok(things)
     }
 }
+
+/// How far from walls things in the open keep at the least, as shares of the blocks' reach: the first with which they explain no more than the log has.
+const FROM_WALLS: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 
 /// The greatest speed of people \[m/s\].
 const WALKING_M_S: f64 = 1.4;
@@ -198,13 +217,14 @@ pub(super) fn in_open(
     let beams = laser.beam_count();
     let (mut returns, mut open) = (vec![0_usize; beams], vec![Vec::new(); beams]);
     let mut hits = Hits::default();
+    let mut at_walls = 0_usize;
     for (scan, step) in steps.iter().enumerate() {
         let Some(reference) = step.reference else { continue };
         let pose = reference.compose(&laser.base_from_laser());
         let poses: Particles = std::iter::once(pose).collect();
         map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
         let ranges = &step.scan.ranges;
-        let in_open = |beam: usize| -> Option<Open> {
+        let in_front = |beam: usize| -> Option<(Open, bool)> {
             if ranges[beam] >= laser.max_range() {
                 return None;
             }
@@ -225,9 +245,14 @@ pub(super) fn in_open(
                 let at = (end / cell_m).round();
                 !in_reach.contains(&[at.x as i32, at.y as i32])
             });
-            is_in_open.then_some(Open { scan, end, distance, range })
+            Some((Open { scan, end, distance, range }, is_in_open))
         };
-        let found: Vec<Option<Open>> = (0..beams).map(in_open).collect();
+        let in_front: Vec<_> = (0..beams).map(in_front).collect();
+        at_walls += in_front.iter().flatten().filter(|(_, is_in_open)| !is_in_open).count();
+        let found: Vec<Option<Open>> = in_front
+            .into_iter()
+            .map(|of| of.and_then(|(reading, is_in_open)| is_in_open.then_some(reading)))
+            .collect();
         for beam in 0..beams {
             returns[beam] += usize::from(ranges[beam] < laser.max_range());
             let sees_it_too = |other: Option<usize>| {
@@ -250,7 +275,8 @@ pub(super) fn in_open(
     let told = (0..beams).filter(|&beam| share(beam) <= most || !is_alike(beam)).flat_map(|beam| &open[beam]);
     let told: Vec<Open> = told.copied().collect();
     let mut farthest: Vec<f64> = told.iter().map(|reading| reading.distance).collect();
-    let share = farthest.len() as f64 / returns.iter().sum::<usize>().max(1) as f64;
+    let all = returns.iter().sum::<usize>().max(1) as f64;
+    let (share, share_in_reach) = (farthest.len() as f64 / all, at_walls as f64 / all);
     let is_told = farthest.len() >= LEAST_READINGS && share >= LEAST_SHARE;
     let are_few = farthest.len() < FEW_READINGS || share < FEW_SHARE;
     let is_one_thing = is_one_thing(&told);
@@ -260,6 +286,7 @@ pub(super) fn in_open(
     let across_m = told.iter().step_by(every).filter_map(across).fold(0.0, f64::max).min(FARTHEST_M);
     (!are_few).then(|| InOpen {
         share,
+        share_in_reach,
         most_m: quantile(&mut farthest, MOST),
         across_m,
         reach_m: blocks.map(BlockOptions::reach_m),
@@ -381,7 +408,9 @@ mod tests {
             scan_secs: 0.0,
         };
         let walls = blocks(0.2);
-        let simulator = Simulator::new(Arc::clone(&map), Some(walls), laser, Effects::none()).unwrap();
+        let simulator =
+            Simulator::new(Arc::clone(&map), Some(walls), laser.clone(), Effects::none()).unwrap();
+        let empty = Simulator::new(Arc::clone(&map), None, laser, Effects::none()).unwrap();
         let truth = BlockOptions { per_metre_of_wall: 0.03, wall_distance_m: [0.0, 4.0], ..blocks(0.2) };
         let world = simulator.clone().with_more_blocks(truth).unwrap();
         let secs: Vec<f64> = (0..200).map(|i| 0.1 * f64::from(i)).collect();
@@ -396,7 +425,7 @@ mod tests {
         let steps: Vec<&DriveStep> = steps.iter().collect();
         let laser = world.laser().laser();
         let found = in_open(&steps, laser, &map, Some(&walls)).unwrap();
-        let things = found.things(&steps, &simulator, Some(&walls), 7).unwrap().unwrap();
+        let things = found.things(&steps, &empty, Some(&walls), 7).unwrap().unwrap();
         // In other places in every scan, so that their share is that of the density.
         let anew = BlockOptions { resample: BlockResampling::EachObservation, speed_m_s: [0.0; 2], ..things };
         let again = simulator.clone().with_more_blocks(anew).unwrap();
@@ -406,7 +435,7 @@ mod tests {
         let ratio = refound.share / found.share;
         assert!((0.7..1.4).contains(&ratio), "{} {}", found.share, refound.share);
         let one_thing = InOpen { is_one_thing: true, ..found };
-        assert!(one_thing.things(&steps, &simulator, Some(&walls), 7).unwrap().is_none());
+        assert!(one_thing.things(&steps, &empty, Some(&walls), 7).unwrap().is_none());
     }
 
     /// Off the corner of a rack nothing stands at the rack's own faces: things there are of the wall beyond.
