@@ -124,8 +124,8 @@ impl<'a> State<'a> {
         if self.nominal.blocks.is_none() || (self.nominal.pieces.is_some() && found < HARDLY_ANY.ln()) {
             return Ok(None);
         }
-        // Who counts what is there counts what stands in the open, too.
-        if self.nominal.has_things_in_the_open() && found < 0.0 {
+        // Who counts what is there counts what stands in the open, too, and how much of what is before walls is of that can't be told.
+        if self.nominal.has_things_in_the_open() {
             return Ok(None);
         }
         let logs: Vec<f64> = last.null.nuisances.iter().map(|found| found.block_density.ln()).collect();

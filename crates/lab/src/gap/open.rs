@@ -408,8 +408,7 @@ mod tests {
             scan_secs: 0.0,
         };
         let walls = blocks(0.2);
-        let simulator =
-            Simulator::new(Arc::clone(&map), Some(walls), laser.clone(), Effects::none()).unwrap();
+        let simulator = Simulator::new(Arc::clone(&map), Some(walls), laser, Effects::none()).unwrap();
         let empty = Simulator::new(Arc::clone(&map), None, laser, Effects::none()).unwrap();
         let truth = BlockOptions { per_metre_of_wall: 0.03, wall_distance_m: [0.0, 4.0], ..blocks(0.2) };
         let world = simulator.clone().with_more_blocks(truth).unwrap();
