@@ -175,6 +175,50 @@ fn a_wall_that_moved_far_is_named() {
     assert!((distance + 0.5).abs() < 0.02, "{distance}");
 }
 
+/// At (2.5, 4) two walls of the room meet, and a metre holds half a metre of one and all of the other.
+#[test]
+fn walls_that_meet_within_a_metre_are_apart() {
+    let [baseline, today] = [1, 2].map(|seed| log(&[], seed));
+    let pool = pool::Pool::new(&NOMINAL, &baseline, &today).unwrap();
+    let walls = trials::walls(&pool);
+    let is_there = |from: [f64; 2], to: [f64; 2]| {
+        let ends = [from, to].map(glam::DVec2::from_array);
+        let is_along = |place: &[glam::DVec2; 2]| {
+            ends.iter().all(|end| place.iter().any(|own| own.distance(*end) < 0.2))
+        };
+        walls.iter().any(|(place, _)| is_along(place))
+    };
+    assert!(is_there([2.5, 4.0], [2.5, 5.0]) && is_there([2.5, 4.0], [3.0, 4.0]), "{walls:?}");
+    // Each beam ends at one of them.
+    let mut beams: Vec<u32> = walls.iter().flat_map(|(_, among)| among).copied().collect();
+    let all = beams.len();
+    beams.sort_unstable();
+    beams.dedup();
+    assert_eq!(beams.len(), all);
+}
+
+/// Every other second only three beams of a scan are of use, and half of these scans are off by a quarter of a metre, as where the map is. That looks like
+/// bursts to a window of a second, and is a twelfth of the readings.
+#[test]
+fn bursts_are_as_long_as_the_readings_in_them() {
+    let mut today = log(&[(E::Crosstalk, &[0.3, 0.2])], 2);
+    let beams = today.beams();
+    for (scan, secs) in today.track.secs().to_vec().into_iter().enumerate() {
+        let second = secs as usize;
+        if second % 2 == 1 {
+            for (beam, reading) in today.readings[scan * beams..][..beams].iter_mut().enumerate() {
+                let off = if second % 4 == 1 { 0.25 } else { 0.0 };
+                *reading = if beam % 12 == 0 { *reading + off } else { 0.0 };
+            }
+        }
+    }
+    let options = BaselineOptions { permutations: 99, seed: 5, ..BaselineOptions::default() };
+    let found = find_changes(&NOMINAL, &log(&[], 1), &today, &options, &(), &AtomicBool::new(false)).unwrap();
+    let named = found.effects.iter().find(|named| named.name == E::Crosstalk).unwrap();
+    let share = named.params["share"].estimate.value;
+    assert!((share - 0.2).abs() < 0.1, "{share}");
+}
+
 #[test]
 fn a_sector_that_a_part_of_the_robot_hides_is_named() {
     let found = changes(&[], &[(E::SectorOcclusion, &[0.2, 0.6, 0.5, 0.9])]);

@@ -323,7 +323,7 @@ fn objects(pool: &Pool<'_>) -> Vec<Effect> {
 
 /// Stretches of wall, with the readings of beams that end there, most of which come from the right. Walls that meet in a cell are stretches of
 /// their own.
-fn walls(pool: &Pool<'_>) -> Vec<([DVec2; 2], Vec<u32>)> {
+pub(super) fn walls(pool: &Pool<'_>) -> Vec<([DVec2; 2], Vec<u32>)> {
     let mut cells: BTreeMap<[i32; 2], Vec<u32>> = BTreeMap::new();
     for (index, reading) in pool.readings.iter().enumerate() {
         let is_of_wall = !pool.logs[reading.log].views.is_unsure(reading.index);

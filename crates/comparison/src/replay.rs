@@ -328,6 +328,33 @@ mod tests {
         }
     }
 
+    /// A log with blocks and things in the open. Simulated logs have as many of both together, as far as a fit of the blocks tells.
+    #[test]
+    fn things_in_the_open_are_no_blocks() {
+        let blocks = NOMINAL.blocks.unwrap();
+        let things = BlockOptions {
+            per_metre_of_wall: 0.15,
+            wall_distance_m: [0.0, blocks.wall_distance_m[1] + 0.6],
+            ..blocks
+        };
+        let nominal = NOMINAL.clone().with_things_in_the_open(things).unwrap();
+        let drive = record_library(&nominal, &TRUTH, &[], Regime::default(), 5).unwrap();
+        let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+        let comparison = Comparison::new(&nominal, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        // Were there a third of the blocks, things would make most of what is fitted.
+        let mut few = fitted.clone();
+        few.nuisances.block_density *= 0.3;
+        let anew = BlockTruth::of(BlockPolicy::of(BlockResampling::EachObservation));
+        for (fitted, least) in [(&fitted, 0.8), (&few, 0.0)] {
+            let truth = anew.in_world(&comparison, &[], fitted, 3).unwrap();
+            let log = Replay::new(&comparison, &[], fitted, truth).simulate(8).unwrap();
+            let refitted = comparison.of(&log).fit_nuisances(&Nuisances::default(), 20);
+            let ratio = refitted.nuisances.block_density / fitted.nuisances.block_density;
+            assert!(truth.density_over_fit > 0.0 && ratio > least && ratio < 1.3, "{ratio} {truth:?}");
+        }
+    }
+
     /// A scenario says that what stands there moves. What the log has may stand all the same.
     #[test]
     fn blocks_that_a_scenario_has_move_may_stand() {

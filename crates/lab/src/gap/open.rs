@@ -337,6 +337,20 @@ mod tests {
 
     const BEAMS: usize = 72;
 
+    const LASER: LaserOptions = LaserOptions {
+        rate_hz: 10.0,
+        beams: 360,
+        field_of_view_rad: std::f64::consts::TAU,
+        first_bearing_rad: None,
+        min_range_m: 0.05,
+        max_range_m: 20.0,
+        resolution_m: 0.001,
+        sigma_m: 0.01,
+        sigma_per_m: 0.0,
+        mount: Pose2::IDENTITY,
+        scan_secs: 0.0,
+    };
+
     fn blocks(gap_m: f64) -> BlockOptions {
         BlockOptions {
             per_metre_of_wall: 0.1,
@@ -394,22 +408,9 @@ mod tests {
         let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
         let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
         let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
-        let laser = LaserOptions {
-            rate_hz: 10.0,
-            beams: 360,
-            field_of_view_rad: std::f64::consts::TAU,
-            first_bearing_rad: None,
-            min_range_m: 0.05,
-            max_range_m: 20.0,
-            resolution_m: 0.001,
-            sigma_m: 0.01,
-            sigma_per_m: 0.0,
-            mount: Pose2::IDENTITY,
-            scan_secs: 0.0,
-        };
         let walls = blocks(0.2);
-        let simulator = Simulator::new(Arc::clone(&map), Some(walls), laser, Effects::none()).unwrap();
-        let empty = Simulator::new(Arc::clone(&map), None, laser, Effects::none()).unwrap();
+        let simulator = Simulator::new(Arc::clone(&map), Some(walls), LASER, Effects::none()).unwrap();
+        let empty = Simulator::new(Arc::clone(&map), None, LASER, Effects::none()).unwrap();
         let truth = BlockOptions { per_metre_of_wall: 0.03, wall_distance_m: [0.0, 4.0], ..blocks(0.2) };
         let world = simulator.clone().with_more_blocks(truth).unwrap();
         let secs: Vec<f64> = (0..200).map(|i| 0.1 * f64::from(i)).collect();
@@ -435,6 +436,52 @@ mod tests {
         assert!((0.7..1.4).contains(&ratio), "{} {}", found.share, refound.share);
         let one_thing = InOpen { is_one_thing: true, ..found };
         assert!(one_thing.things(&steps, &empty, Some(&walls), 7).unwrap().is_none());
+    }
+
+    /// Things amid a hall, three to four metres from its walls, and none nearer. Those of simulated logs keep away from walls, too.
+    #[test]
+    fn things_make_no_more_readings_at_walls_than_the_log_has() {
+        let corners = [[-6.0, -6.0], [6.0, -6.0], [6.0, 6.0], [-6.0, 6.0]];
+        let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
+        let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
+        let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
+        let walls = blocks(2.0);
+        let empty = Simulator::new(Arc::clone(&map), None, LASER, Effects::none()).unwrap();
+        let truth = BlockOptions { per_metre_of_wall: 0.05, wall_distance_m: [3.0, 4.0], ..walls };
+        let laser = empty.laser().laser();
+        let seen = |things: BlockOptions| -> InOpen {
+            let world = empty.clone().with_more_blocks(things).unwrap();
+            let secs: Vec<f64> = (0..200).map(|i| 0.1 * f64::from(i)).collect();
+            let readings = world.scan_along(&secs, |_, _| Pose2::IDENTITY, 3);
+            let step = |(secs, ranges): (&f64, &[f32])| DriveStep {
+                stamp_secs: *secs,
+                odometry: Pose2::IDENTITY,
+                reference: Some(Pose2::IDENTITY),
+                scan: Scan { ranges: ranges.to_vec() },
+            };
+            let steps: Vec<DriveStep> = secs.iter().zip(readings.chunks(360)).map(step).collect();
+            in_open(&steps.iter().collect::<Vec<_>>(), laser, &map, Some(&walls)).unwrap()
+        };
+        let found = seen(truth);
+        let steps: Vec<DriveStep> = (0..200)
+            .map(|i| DriveStep {
+                stamp_secs: 0.1 * f64::from(i),
+                odometry: Pose2::IDENTITY,
+                reference: Some(Pose2::IDENTITY),
+                scan: Scan { ranges: Vec::new() },
+            })
+            .collect();
+        let things =
+            found.things(&steps.iter().collect::<Vec<_>>(), &empty, Some(&walls), 7).unwrap().unwrap();
+        assert!(things.wall_distance_m[0] > 0.0, "{things:?}");
+        let anew = BlockOptions { resample: BlockResampling::EachObservation, speed_m_s: [0.0; 2], ..things };
+        let again = seen(anew);
+        assert!(
+            again.share_in_reach < 1.3 * found.share_in_reach + 0.002,
+            "{} {}",
+            again.share_in_reach,
+            found.share_in_reach
+        );
     }
 
     /// Off the corner of a rack nothing stands at the rack's own faces: things there are of the wall beyond.
