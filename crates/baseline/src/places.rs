@@ -3,7 +3,7 @@
 //! Some change of one place is in any two logs: a door, a person. Permutations of stretches can't tell how rare a place is that few
 //! stretches see. But the places of both logs can: the best place is held against the next ones, those included where the baseline
 //! differs from today's log as today's log does from the baseline. Were it one of them, its distance to the next would be
-//! exponential with their scale (Renyi 1953). How large that is the others say, who are few; it is no smaller than that of independent readings.
+//! exponential with their scale (Renyi 1953). The others say how large that is. They are few, and it is no smaller than that of independent readings.
 //!
 //! A wall that has moved is judged by the root of its gain. An object or a pane has to gain, too, and is judged by how many beams it
 //! stops or lets through in either log: by the Bayes factor of two shares over one, which knows how often the baseline has looked.

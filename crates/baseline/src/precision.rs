@@ -141,8 +141,8 @@ impl Search<'_> {
         Ok(Precise { numbers: numbers.collect(), effect, is_known })
     }
 
-    /// The share of today's readings that bursts fall on, by the windows that they surely last in; `None` of an effect without bursts. Likelihoods of
-    /// shares count windows: where few beams of a window end at places that both logs have seen, any that is off looks like a burst.
+    /// The share of today's readings that bursts fall on, by the probability that they last in a reading's window; `None` of an effect without bursts.
+    /// The likelihood of a share counts windows: where few beams of a window end at places that both logs have seen, any that is off looks like a burst.
     fn share_of_bursts(
         &self,
         effect: &Effect,
