@@ -126,10 +126,10 @@ impl Search<'_> {
                     parameter.role == Role::Strength && (effect.values[i] - parameter.neutral).abs() > alone;
             }
         }
-        if let Some(share) = self.share_of_bursts(&effect, given, expected, &logs, assignment, known)?
+        if let Some(lasting) = self.lasting(&effect, given, expected, &logs, assignment, known)?
             && let Some(i) = parameters.iter().position(|parameter| parameter.name == "share")
         {
-            effect.values[i] = share;
+            effect.values[i] = self.share_of_readings(&lasting);
         }
         let numbers = parameters.iter().zip(&effect.values).zip(halves);
         let numbers =
@@ -141,23 +141,12 @@ impl Search<'_> {
         Ok(Precise { numbers: numbers.collect(), effect, is_known })
     }
 
-    /// The share of today's readings that bursts fall on, by the probability that they last in a reading's window; `None` of an effect without bursts.
-    /// The likelihood of a share counts windows: where few beams of a window end at places that both logs have seen, any that is off looks like a burst.
-    fn share_of_bursts(
-        &self,
-        effect: &Effect,
-        given: &Given,
-        expected: &[Expected],
-        logs: &[Vec<f64>; 2],
-        assignment: &Assignment,
-        known: &Known,
-    ) -> Result<Option<f64>, GapError> {
-        let lasting = self.lasting(effect, given, expected, logs, assignment, known)?;
-        Ok(lasting.map(|of_window| {
-            let today = || self.pool.at_shared_places().iter().filter(|reading| reading.log == 1);
-            let sum: f64 = today().map(|reading| of_window.get(&reading.window).unwrap_or(&0.0)).sum();
-            sum / today().count().max(1) as f64
-        }))
+    /// The share of today's readings that bursts fall on, by the probability that they last in a reading's window. The likelihood of a share counts
+    /// windows: where few beams of a window end at places that both logs have seen, any that is off looks like a burst.
+    fn share_of_readings(&self, lasting: &HashMap<u32, f64>) -> f64 {
+        let today = || self.pool.at_shared_places().iter().filter(|reading| reading.log == 1);
+        let sum: f64 = today().map(|reading| lasting.get(&reading.window).unwrap_or(&0.0)).sum();
+        sum / today().count().max(1) as f64
     }
 
     /// Gains about a fit, which is moved away from limits; `None` where some parameter gains on both sides.

@@ -401,87 +401,86 @@ mod tests {
         in_open(&looked_at(steps.iter()), &laser, &map, blocks)
     }
 
-    /// Scans of a simulator have things in the open at a known density, which is found from them. One thing alone is none of these.
-    #[test]
-    fn simulated_logs_get_as_many_things_in_the_open_as_a_log_has() {
-        let corners = [[-6.0, -6.0], [6.0, -6.0], [6.0, 6.0], [-6.0, 6.0]];
-        let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
-        let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
-        let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
-        let walls = blocks(0.2);
-        let simulator = Simulator::new(Arc::clone(&map), Some(walls), LASER, Effects::none()).unwrap();
-        let empty = Simulator::new(Arc::clone(&map), None, LASER, Effects::none()).unwrap();
-        let truth = BlockOptions { per_metre_of_wall: 0.03, wall_distance_m: [0.0, 4.0], ..blocks(0.2) };
-        let world = simulator.clone().with_more_blocks(truth).unwrap();
-        let secs: Vec<f64> = (0..200).map(|i| 0.1 * f64::from(i)).collect();
-        let readings = world.scan_along(&secs, |_, _| Pose2::IDENTITY, 3);
-        let step = |(secs, ranges): (&f64, &[f32])| DriveStep {
-            stamp_secs: *secs,
-            odometry: Pose2::IDENTITY,
-            reference: Some(Pose2::IDENTITY),
-            scan: Scan { ranges: ranges.to_vec() },
-        };
-        let steps: Vec<DriveStep> = secs.iter().zip(readings.chunks(360)).map(step).collect();
-        let steps: Vec<&DriveStep> = steps.iter().collect();
-        let laser = world.laser().laser();
-        let found = in_open(&steps, laser, &map, Some(&walls)).unwrap();
-        let things = found.things(&steps, &empty, Some(&walls), 7).unwrap().unwrap();
-        // In other places in every scan, so that their share is that of the density.
-        let anew = BlockOptions { resample: BlockResampling::EachObservation, speed_m_s: [0.0; 2], ..things };
-        let again = simulator.clone().with_more_blocks(anew).unwrap();
-        let readings = again.scan_along(&secs, |_, _| Pose2::IDENTITY, 5);
-        let steps_again: Vec<DriveStep> = secs.iter().zip(readings.chunks(360)).map(step).collect();
-        let refound = in_open(&steps_again.iter().collect::<Vec<_>>(), laser, &map, Some(&walls)).unwrap();
-        let ratio = refound.share / found.share;
-        assert!((0.7..1.4).contains(&ratio), "{} {}", found.share, refound.share);
-        let one_thing = InOpen { is_one_thing: true, ..found };
-        assert!(one_thing.things(&steps, &empty, Some(&walls), 7).unwrap().is_none());
+    /// A hall of 12 m, and 200 scans of a simulator amid it.
+    struct Hall {
+        map: Arc<ExactRangeMap>,
+        walls: BlockOptions,
     }
 
-    /// Things amid a hall, three to four metres from its walls, and none nearer. Those of simulated logs keep away from walls, too.
-    #[test]
-    fn things_make_no_more_readings_at_walls_than_the_log_has() {
-        let corners = [[-6.0, -6.0], [6.0, -6.0], [6.0, 6.0], [-6.0, 6.0]];
-        let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
-        let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
-        let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
-        let walls = blocks(2.0);
-        let empty = Simulator::new(Arc::clone(&map), None, LASER, Effects::none()).unwrap();
-        let truth = BlockOptions { per_metre_of_wall: 0.05, wall_distance_m: [3.0, 4.0], ..walls };
-        let laser = empty.laser().laser();
-        let seen = |things: BlockOptions| -> InOpen {
-            let world = empty.clone().with_more_blocks(things).unwrap();
+    impl Hall {
+        fn new(walls: BlockOptions) -> Self {
+            let corners = [[-6.0, -6.0], [6.0, -6.0], [6.0, 6.0], [-6.0, 6.0]];
+            let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
+            let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
+            Self { map: Arc::new(ExactRangeMap::new(map.to_geometry().unwrap())), walls }
+        }
+
+        fn simulator(&self, blocks: Option<BlockOptions>) -> Simulator {
+            Simulator::new(Arc::clone(&self.map), blocks, LASER, Effects::none()).unwrap()
+        }
+
+        fn scans(simulator: &Simulator, seed: u64) -> Vec<DriveStep> {
             let secs: Vec<f64> = (0..200).map(|i| 0.1 * f64::from(i)).collect();
-            let readings = world.scan_along(&secs, |_, _| Pose2::IDENTITY, 3);
+            let readings = simulator.scan_along(&secs, |_, _| Pose2::IDENTITY, seed);
             let step = |(secs, ranges): (&f64, &[f32])| DriveStep {
                 stamp_secs: *secs,
                 odometry: Pose2::IDENTITY,
                 reference: Some(Pose2::IDENTITY),
                 scan: Scan { ranges: ranges.to_vec() },
             };
-            let steps: Vec<DriveStep> = secs.iter().zip(readings.chunks(360)).map(step).collect();
-            in_open(&steps.iter().collect::<Vec<_>>(), laser, &map, Some(&walls)).unwrap()
+            secs.iter().zip(readings.chunks(LASER.beams as usize)).map(step).collect()
+        }
+
+        fn in_open(&self, steps: &[DriveStep]) -> InOpen {
+            let empty = self.simulator(None);
+            in_open(&steps.iter().collect::<Vec<_>>(), empty.laser().laser(), &self.map, Some(&self.walls))
+                .unwrap()
+        }
+
+        fn things(&self, found: &InOpen, steps: &[DriveStep]) -> Option<BlockOptions> {
+            let steps: Vec<&DriveStep> = steps.iter().collect();
+            found.things(&steps, &self.simulator(None), Some(&self.walls), 7).unwrap()
+        }
+    }
+
+    /// The same in other places in every scan, so that their share is that of the density.
+    fn anew(things: BlockOptions) -> BlockOptions {
+        BlockOptions { resample: BlockResampling::EachObservation, speed_m_s: [0.0; 2], ..things }
+    }
+
+    /// Scans of a simulator have things in the open at a known density, which is found from them. One thing alone is none of these.
+    #[test]
+    fn simulated_logs_get_as_many_things_in_the_open_as_a_log_has() {
+        let hall = Hall::new(blocks(0.2));
+        let simulator = hall.simulator(Some(hall.walls));
+        let seen = |things: BlockOptions, seed: u64| {
+            Hall::scans(&simulator.clone().with_more_blocks(things).unwrap(), seed)
         };
-        let found = seen(truth);
-        let steps: Vec<DriveStep> = (0..200)
-            .map(|i| DriveStep {
-                stamp_secs: 0.1 * f64::from(i),
-                odometry: Pose2::IDENTITY,
-                reference: Some(Pose2::IDENTITY),
-                scan: Scan { ranges: Vec::new() },
-            })
-            .collect();
-        let things =
-            found.things(&steps.iter().collect::<Vec<_>>(), &empty, Some(&walls), 7).unwrap().unwrap();
+        let truth = BlockOptions { per_metre_of_wall: 0.03, wall_distance_m: [0.0, 4.0], ..hall.walls };
+        let steps = seen(truth, 3);
+        let found = hall.in_open(&steps);
+        let things = hall.things(&found, &steps).unwrap();
+        let refound = hall.in_open(&seen(anew(things), 5));
+        let ratio = refound.share / found.share;
+        assert!((0.7..1.4).contains(&ratio), "{} {}", found.share, refound.share);
+        let one_thing = InOpen { is_one_thing: true, ..found };
+        assert!(hall.things(&one_thing, &steps).is_none());
+    }
+
+    /// Things amid a hall, three to four metres from its walls, and none nearer. Those of simulated logs keep away from walls, too.
+    #[test]
+    fn things_make_no_more_readings_at_walls_than_the_log_has() {
+        let hall = Hall::new(blocks(2.0));
+        let seen = |things: BlockOptions, seed: u64| {
+            Hall::scans(&hall.simulator(None).with_more_blocks(things).unwrap(), seed)
+        };
+        let truth = BlockOptions { per_metre_of_wall: 0.05, wall_distance_m: [3.0, 4.0], ..hall.walls };
+        let steps = seen(truth, 3);
+        let found = hall.in_open(&steps);
+        let things = hall.things(&found, &steps).unwrap();
         assert!(things.wall_distance_m[0] > 0.0, "{things:?}");
-        let anew = BlockOptions { resample: BlockResampling::EachObservation, speed_m_s: [0.0; 2], ..things };
-        let again = seen(anew);
-        assert!(
-            again.share_in_reach < 1.3 * found.share_in_reach + 0.002,
-            "{} {}",
-            again.share_in_reach,
-            found.share_in_reach
-        );
+        let [own, again] = [found.share_in_reach, hall.in_open(&seen(anew(things), 3)).share_in_reach];
+        assert!(again < 1.3 * own + 0.002, "{again} {own}");
     }
 
     /// Off the corner of a rack nothing stands at the rack's own faces: things there are of the wall beyond.
