@@ -191,6 +191,27 @@ fn a_scenario_may_leave_out_what_is_optional() {
     });
 }
 
+/// What the log says of the laser's mount counts where the scenario says nothing.
+#[test]
+fn a_mount_that_is_left_out_is_the_logs() {
+    let folder = folder();
+    folder.write("turned.yaml", edited(NOMINAL, "beams: 24,", "beams: 24, mount: {x_m: 0.1, yaw_deg: 20},"));
+    folder.locsim("simulate turned.yaml --seed 11 --out turned.log").success();
+    let line = "gap nominal.yaml --log turned.log --out found --replicates 19 --no-filter";
+    let call = folder.locsim(line).success();
+    let told = "The scenario has no `laser.mount`; the log's is used: (0.100 m, 0.000 m, 20.0 deg).";
+    let answer = output(&call);
+    assert!(!answer.contains("mount_"), "{answer}");
+    call.stderr(contains(told));
+    let scenario = String::from_utf8(folder.read("found/scenario.yaml")).unwrap();
+    assert!(scenario.contains("laser: {mount: {x_m: 0.1, y_m: 0, yaw_deg: 20}, rate_hz: 6"), "{scenario}");
+    folder.locsim("validate found/scenario.yaml").success();
+    // What the scenario says counts, be it that the laser is amid the robot.
+    folder.write("amid.yaml", edited(NOMINAL, "beams: 24,", "beams: 24, mount: {},"));
+    let call = folder.locsim(&line.replace("nominal.yaml", "amid.yaml").replace("found", "amid")).success();
+    call.stderr(contains("the scenario's (0.000 m, 0.000 m, 0.0 deg) is used"));
+}
+
 #[test]
 fn the_answer_is_for_people_and_an_effect_can_be_left_out() {
     let folder = folder();
@@ -227,7 +248,7 @@ fn what_does_not_fit_is_refused_and_earlier_results_stay() {
     refused(&gap("view.yaml", ""), "measured.log: beam 0 points to");
     with("quiet.yaml", ", noise: {sigma_m: 0.01}", "");
     for scenario in ["exact.yaml", "quiet.yaml"] {
-        refused(&gap(scenario, "").replace("found", "new"), "the nominal laser has no noise");
+        refused(&gap(scenario, "").replace("found", "new"), "laser.noise.sigma_m: more than 0 is allowed");
     }
     refused(&gap("nominal.yaml", ""), "--out: found is not allowed; it isn't empty");
     refused(&gap("nominal.yaml", "--force"), "found/gap.json isn't as locsim wrote it, and stays");

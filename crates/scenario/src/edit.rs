@@ -34,6 +34,8 @@ pub struct Change<'a> {
 pub struct Additions<'a> {
     /// Numbers that change where the text states them.
     pub changes: Vec<Change<'a>>,
+    /// The first line of `laser`, for a scenario that lacks it.
+    pub of_laser: Option<String>,
     /// The keys of `blocks`, for a scenario that has none.
     pub blocks: Option<Entry>,
     /// Entries at the end of `effects`.
@@ -47,6 +49,7 @@ impl Scenario {
     /// named relative to the scenario's folder are named relative to `folder`.
     pub fn with(&self, additions: &Additions<'_>, folder: &Path, name: &str) -> String {
         let changed = changed(&self.text, &additions.changes);
+        let changed = additions.of_laser.iter().fold(changed, |text, line| begun(&text, "laser", line));
         // A mapping that isn't there is written as a list that isn't.
         let with_blocks = grown(&changed, "blocks", additions.blocks.as_slice());
         let grown =
@@ -57,6 +60,13 @@ impl Scenario {
     /// The text for a file in the folder `folder`, an absolute path, as [`with`](Self::with) has it.
     pub fn text_in(&self, folder: &Path) -> String {
         moved(&self.text, &self.file, folder)
+    }
+
+    /// Whether the text states a key, such as `laser.mount`.
+    pub fn has_key(&self, key: &str) -> bool {
+        let mut is_there = false;
+        walk(&self.text, &mut |path, _, _, _| is_there |= path == key);
+        is_there
     }
 
     /// Whether [`with`](Self::with) gives a scenario with those effects.
@@ -122,6 +132,26 @@ fn grown(text: &str, key: &str, entries: &[Entry]) -> String {
             text + "\n" + after
         }
     }
+}
+
+/// A text whose mapping of this key begins with a line more.
+fn begun(text: &str, key: &str, line: &str) -> String {
+    let mut start = None;
+    walk(text, &mut |path, event, bytes, _| {
+        if path == key && matches!(event, Event::MappingStart(..)) {
+            start = Some(bytes.start);
+        }
+    });
+    let mut text = text.to_owned();
+    if let Some(start) = start {
+        if text[start..].starts_with('{') {
+            text.insert_str(start + 1, &format!("{line}, "));
+        } else {
+            let indent = indent_at(&text, start);
+            text.insert_str(start, &format!("{line}\n{:indent$}", ""));
+        }
+    }
+    text
 }
 
 fn block(entries: &[Entry], indent: usize) -> String {
@@ -391,6 +421,20 @@ mod tests {
             ("errors: {sigma_m: 0.02}\n", "errors: {sigma_m: 0.02}\n"),
         ] {
             assert_eq!(changed(text, &changes), expected);
+        }
+    }
+
+    #[test]
+    fn a_mapping_begins_with_a_line_more() {
+        for (text, expected) in [
+            ("laser: {beams: 3} # ä\n", "laser: {mount: {x_m: 1}, beams: 3} # ä\n"),
+            (
+                "a: ä\nlaser: # why\n    # how\n    beams: 3\nz: {laser: {}}\n",
+                "a: ä\nlaser: # why\n    # how\n    mount: {x_m: 1}\n    beams: 3\nz: {laser: {}}\n",
+            ),
+            ("z: 1\n", "z: 1\n"),
+        ] {
+            assert_eq!(begun(text, "laser", "mount: {x_m: 1}"), expected);
         }
     }
 

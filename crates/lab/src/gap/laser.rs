@@ -29,12 +29,10 @@ pub(super) fn with_mount(drive: Drive, scenario: &Laser, warnings: &mut Vec<Stri
     let logged = if same_directions { Pose2 { theta: mount.theta, ..logged } } else { logged };
     let apart = logged.relative_to(&mount);
     if apart.position().length() > SAME_MOUNT || apart.theta.abs() > SAME_MOUNT {
-        let place =
-            |pose: Pose2| format!("({:.3} m, {:.3} m, {:.1} deg)", pose.x, pose.y, pose.theta.to_degrees());
         warnings.push(format!(
             "The log has the laser at {} on the robot; the scenario's {} is used.",
-            place(logged),
-            place(mount)
+            mount_in_words(logged),
+            mount_in_words(mount)
         ));
     }
     let laser = Laser::new(
@@ -48,6 +46,11 @@ pub(super) fn with_mount(drive: Drive, scenario: &Laser, warnings: &mut Vec<Stri
         Ok(laser) => Drive { laser, ..drive },
         Err(_) => drive,
     }
+}
+
+/// The laser's place on the robot.
+pub(super) fn mount_in_words(pose: Pose2) -> String {
+    format!("({:.3} m, {:.3} m, {:.1} deg)", pose.x, pose.y, pose.theta.to_degrees())
 }
 
 /// The drive with its beams in the order of the scenario's, matched by where they point.

@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 use locsim_core::limits::quoted;
 use locsim_core::{Drive, DriveStep, Hits, Particles, Pose2, RangeMap};
-use locsim_dataset::{DriveQuality, LogKind, LogOptions, LogSummary, read_log};
+use locsim_dataset::{DriveQuality, LogKind, LogOptions, LogSummary, MountSource, read_log};
 use locsim_gap::{GapError, GapOptions, Nominal, Purpose, Recorded, ResidualStage};
 use locsim_world::effect::{EffectKind, Moves};
 use locsim_world::raycast::ExactRangeMap;
@@ -34,7 +34,8 @@ pub use locsim_gap::{BeamPit, Outcome};
 pub use filter::FilterOnLog;
 pub use proposal::{scenario_after, scenario_since};
 
-use laser::{with_beams, with_mount};
+use laser::{mount_in_words, with_beams, with_mount};
+use open::InOpen;
 
 use crate::LabError;
 use crate::inspect::{doubts, frozen_odometry};
@@ -103,6 +104,8 @@ pub struct GapStudy {
     /// The scenario.
     scenario: Scenario,
     simulator: SimulatorOptions,
+    /// The laser's mount by the log, where the scenario has none; it is the simulator's.
+    logged_mount: Option<Pose2>,
     /// Blocks that the log has and the scenario hasn't; they are among the simulator's.
     added_blocks: Option<BlockOptions>,
     /// People and things that the log has farther from walls than the scenario's blocks reach.
@@ -194,6 +197,18 @@ impl GapStudy {
         let map = Arc::new(ExactRangeMap::new(map));
         let mut notes = vec![summary.to_string().replace('\n', "; ")];
         let mut warnings = Vec::new();
+        if settings.baseline.is_none() && simulator.laser.sigma_m <= 0.0 {
+            return Err(refuse("laser.noise.sigma_m", &without_noise(&drive, &summary)).into());
+        }
+        let is_known = !scenario.has_key("laser.mount") && summary.mount != MountSource::Unknown;
+        let logged_mount = Some(drive.laser.base_from_laser()).filter(|_| is_known);
+        if let Some(mount) = logged_mount {
+            simulator.laser.mount = mount;
+            warnings.push(format!(
+                "The scenario has no `laser.mount`; the log's is used: {}.",
+                mount_in_words(mount)
+            ));
+        }
         let effects = simulator.effects().map_err(GapError::from)?;
         let simulated = Simulator::new(Arc::clone(&map), simulator.blocks, simulator.laser, effects)
             .map_err(GapError::from)?;
@@ -216,22 +231,29 @@ impl GapStudy {
         // Beside a baseline, clutter is as the baseline has it.
         if baseline.is_none() {
             let steps = open::looked_at(drive.steps.iter().filter(|step| is_free(&map, step)));
-            let blocks = simulator.blocks.as_ref();
-            if let Some(found) = open::in_open(&steps, &drive.laser, &map, blocks) {
-                warnings.extend(found.warning());
+            let found_with =
+                |blocks: Option<&BlockOptions>| open::in_open(&steps, &drive.laser, &map, blocks);
+            let mut found = found_with(simulator.blocks.as_ref());
+            warnings.extend(found.as_ref().and_then(InOpen::warning));
+            added_blocks = found.as_ref().and_then(InOpen::blocks);
+            if added_blocks.is_some() {
+                simulator.blocks = added_blocks;
+                found = found_with(added_blocks.as_ref());
+            }
+            if let Some(found) = found {
                 let seed = Purpose::InTheOpen.draw(scenario.seed).seed(0);
                 let effects = simulator.effects().map_err(GapError::from)?;
                 let empty = Simulator::new(Arc::clone(&map), None, simulator.laser, effects)
                     .map_err(GapError::from)?;
-                in_the_open = found.things(&steps, &empty, blocks, seed).map_err(GapError::from)?;
-                added_blocks = found.blocks();
-                simulator.blocks = simulator.blocks.or(added_blocks);
+                let things = found.things(&steps, &empty, simulator.blocks.as_ref(), seed);
+                in_the_open = things.map_err(GapError::from)?;
             }
         }
         let is_localized = summary.kind == LogKind::Localized;
         Ok(Self {
             scenario,
             simulator,
+            logged_mount,
             added_blocks,
             in_the_open,
             log,
@@ -309,6 +331,14 @@ impl GapStudy {
             None => Ok(nominal),
         }
     }
+}
+
+/// What is said of a laser without noise.
+fn without_noise(drive: &Drive, summary: &LogSummary) -> String {
+    let sigma = DriveQuality::of(drive, summary).readings.noise_m();
+    let of_log =
+        sigma.map_or_else(String::new, |sigma| format!("; the log's readings have about {sigma:.3} m"));
+    format!("more than 0 is allowed: without noise no reading of a real laser has a density{of_log}")
 }
 
 /// Whether a scan's reference pose is known, and in the map's free space.

@@ -36,6 +36,8 @@ const FEW_READINGS: usize = 20;
 const FEW_SHARE: f64 = 2e-4;
 /// Blocks per metre of wall with which it is found how many there are \[1/m\].
 const TRIED_PER_METRE: f64 = 0.05;
+/// How far from walls blocks stand at the most where a scenario has none \[m\].
+const AT_WALLS_M: f64 = 1.0;
 /// A beam that sees so much more than the median beam sees the robot itself, where most of these readings are alike to this \[m\].
 const OF_ROBOT_SHARE: f64 = 0.1;
 const OF_ROBOT_M: f64 = 0.1;
@@ -84,9 +86,15 @@ impl InOpen {
         let is_told = self.is_told && !(self.is_one_thing && self.reach_m.is_none());
         let text = self.reach_m.map_or_else(
             || {
+                let at_walls_m = self.at_walls_m();
+                let beyond = if most_m > AT_WALLS_M {
+                    format!(" `scenario.yaml` has those up to {at_walls_m:.1} m from a wall.")
+                } else {
+                    String::new()
+                };
                 format!(
                     "{percent:.1} % of the readings end in front of the walls, and the scenario has no `blocks`: people or things in the \
-                     open, most of them within {most_m:.1} m of a wall. Simulated logs get blocks up to there, as many as the log has."
+                     open, most of them within {most_m:.1} m of a wall. Simulated logs get blocks up to there, as many as the log has.{beyond}"
                 )
             },
             |reach_m| {
@@ -104,6 +112,11 @@ impl InOpen {
         is_told.then_some(text)
     }
 
+    /// How far from walls blocks stand of a scenario that has none \[m\]. What is farther off is in the open.
+    fn at_walls_m(&self) -> f64 {
+        (10.0 * self.most_m.min(AT_WALLS_M)).round() / 10.0
+    }
+
     /// Blocks for a scenario that has none. How many there are is fitted to the log, as is how long they stay.
     pub fn blocks(&self) -> Option<BlockOptions> {
         let blocks = BlockOptions {
@@ -112,7 +125,7 @@ impl InOpen {
             width_m: [0.1, 0.4],
             yaw_rad: [-std::f64::consts::FRAC_PI_4, std::f64::consts::FRAC_PI_4],
             // To the digit that is told.
-            wall_distance_m: [0.0, (10.0 * self.most_m).round() / 10.0],
+            wall_distance_m: [0.0, self.at_walls_m()],
             resample: BlockResampling::EachObservation,
             speed_m_s: [0.0, 0.0],
             clearance_m: 0.35,
@@ -526,10 +539,17 @@ mod tests {
         assert!(!one_thing.contains("Simulated logs get as many"), "{one_thing}");
         assert_eq!(told_with(5.0), None);
         assert!(told(3, walks, 2.0, None).unwrap().contains("the scenario has no `blocks`"));
-        // Blocks are added where there are none, and as far as these readings are.
-        let added = |blocks| told_in(6.0, 3, walks, 2.0, blocks).unwrap().blocks();
-        assert_eq!(added(None).map(|blocks| blocks.wall_distance_m), Some([0.0, 4.5]));
-        assert_eq!(added(Some(&blocks(0.5))), None);
+        // Blocks are added where there are none, as far as these readings are or up to a metre. What is farther off is in the open.
+        let added = |at_m: f32, blocks| told_in(6.0, 3, walks, at_m, blocks).unwrap().blocks();
+        let reach = |at_m: f32| added(at_m, None).map(|blocks| blocks.wall_distance_m);
+        assert_eq!([reach(2.0), reach(5.5)], [Some([0.0, 1.0]), Some([0.0, 0.6])]);
+        assert_eq!(added(2.0, Some(&blocks(0.5))), None);
+        assert!(told(3, walks, 2.0, None).unwrap().ends_with("has those up to 1.0 m from a wall."));
+        assert!(
+            told(3, walks, 2.0, added(2.0, None).as_ref())
+                .unwrap()
+                .contains("no block of the scenario reaches")
+        );
         // Walls beyond the maximum range return nothing, and nothing stands where a reading without return seems to end.
         assert!(told_in(24.0, 0, walks, 2.0, Some(&blocks(0.5))).is_none());
         // What is read where no wall is in reach is something all the same.

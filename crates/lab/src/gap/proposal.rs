@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use locsim_baseline::Changes;
+use locsim_core::Pose2;
 use locsim_core::limits::quoted;
 use locsim_gap::{Guess, Named, Outcome, ResidualStage};
 use locsim_report::text::significant;
@@ -50,8 +51,16 @@ fn scenario_with(
         .filter(|stage| stage.is_nearer())
         .map_or_else(Vec::new, |stage| residual_entries(study, stage));
     let changes = guesses.iter().map(change).collect();
-    let additions = Additions { changes, blocks, effects, residuals };
+    let of_laser = study.logged_mount.map(|mount| format!("mount: {}", mount_yaml(mount)));
+    let additions = Additions { changes, of_laser, blocks, effects, residuals };
     Ok(study.scenario.with(&additions, &out_folder(out)?, &proposed_name(&study.scenario.name)))
+}
+
+/// To a tenth of a millimetre and a thousandth of a degree.
+fn mount_yaml(mount: Pose2) -> String {
+    let rounded = |value: f64, digits: f64| (value * digits).round() / digits;
+    let [x_m, y_m] = [mount.x, mount.y].map(|value| rounded(value, 1e4));
+    format!("{{x_m: {x_m}, y_m: {y_m}, yaw_deg: {}}}", rounded(mount.theta.to_degrees(), 1e3))
 }
 
 /// Blocks that the log has and the scenario hasn't.

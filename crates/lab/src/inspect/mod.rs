@@ -315,6 +315,9 @@ const NOTABLE: Notable = Notable {
     repeated: 5e-3,
 };
 
+/// A lag that is so near half of a sweep may be that of the sweep \[s\]: what drives without a lag have.
+const HALF_SWEEP_SECS: f64 = 0.03;
+
 struct Notable {
     /// What clutter and few turns make of no lag at all is up to 0.05 s.
     lag_secs: f64,
@@ -365,24 +368,30 @@ fn lags(quality: &DriveQuality) -> Vec<String> {
     let to_reference = quality.odometry.as_ref().map_or(0.0, |odometry| odometry.lag_secs);
     // A lag that may be twice its error off tells nothing of one that is worth a word.
     let is_sure = clock.odometry_lag_error_secs.is_some_and(|error| 2.0 * error < least);
-    told_lags(clock.odometry_lag_secs.filter(|_| is_sure), to_reference, least)
+    told_lags(clock.odometry_lag_secs.filter(|_| is_sure), to_reference, least, clock.interval_secs)
 }
 
-/// The same by the odometry's lags \[s\] against the scans, if they tell one, and against the reference, 0 for none.
-fn told_lags(to_scans: Option<f64>, to_reference: f64, least: f64) -> Vec<String> {
+/// The same by the odometry's lags \[s\] against the scans, if they tell one, and against the reference, 0 for none. A laser that sweeps all the time
+/// `between_scans` \[s\], and doesn't say so, seems to be early by half of that.
+fn told_lags(
+    to_scans: Option<f64>,
+    to_reference: f64,
+    least: f64,
+    between_scans: Option<f64>,
+) -> Vec<String> {
     let told = |what: &str, than: &str, lag: f64| {
-        (lag.abs() >= least).then(|| {
-            format!(
-                "The {what} {} the {than} by {:.0} ms: their stamps are of different clocks, or late.{}",
-                if lag > 0.0 { "lags behind" } else { "is ahead of" },
-                1e3 * lag.abs(),
-                if lag > 0.0 && than == "scans" {
-                    " Of a laser that sweeps without a `time_increment`, half of the sweep is in this."
-                } else {
-                    ""
-                }
-            )
-        })
+        let half_sweep = between_scans.map(|secs| 0.5 * secs).filter(|_| than == "scans");
+        let is_sweep = half_sweep.is_some_and(|secs| (lag - secs).abs() < HALF_SWEEP_SECS);
+        let reason = if is_sweep {
+            "which is half of the time between scans: a laser that sweeps all of it and has no `time_increment` looks like this; `laser.scan_secs` is the scenario's key. Otherwise their stamps are of different clocks, or late."
+        } else if lag > 0.0 && than == "scans" {
+            "so their stamps are of different clocks, or late. Of a laser that sweeps without a `time_increment`, half of the sweep is in this."
+        } else {
+            "so their stamps are of different clocks, or late."
+        };
+        let side = if lag > 0.0 { "lags behind" } else { "is ahead of" };
+        (lag.abs() >= least)
+            .then(|| format!("The {what} {side} the {than} by {:.0} ms, {reason}", 1e3 * lag.abs()))
     };
     let all = match to_scans {
         None => [told("odometry", "reference", to_reference), None],
@@ -507,9 +516,12 @@ mod tests {
             (Some(0.05), 0.04, &[]),
             (None, 0.0, &[]),
         ] {
-            let told = told_lags(to_scans, to_reference, 0.08);
+            let told = told_lags(to_scans, to_reference, 0.08, Some(0.2));
             assert_eq!(told.len(), wanted.len(), "{told:?}");
             assert!(told.iter().zip(wanted).all(|(told, wanted)| told.starts_with(wanted)), "{told:?}");
+            assert!(told.iter().all(|told| !told.contains("scan_secs")), "{told:?}");
         }
+        let sweeps = |between_scans: f64| told_lags(Some(0.101), 0.0, 0.08, Some(between_scans));
+        assert!(sweeps(0.2)[0].contains("`laser.scan_secs`") && !sweeps(0.1)[0].contains("scan_secs"));
     }
 }

@@ -140,6 +140,7 @@ impl DriveFacts {
                     .map_or("not quantized".to_owned(), |step| format!("{:.2} mm", 1e3 * step)),
             ),
             ("noise", noise(self)),
+            ("stray readings", stray_readings(readings)),
             ("mount", format!("{}, {}", pose(&laser.mount), laser.mount_source)),
         ];
         if laser.sweep_secs > 0.0 {
@@ -233,7 +234,22 @@ fn noise(facts: &DriveFacts) -> String {
     let flat = readings.flat_noise_m.map_or_else(String::new, |sigma| {
         format!("; {:.1} mm between neighbouring beams on flat walls, whose unevenness is in it", 1e3 * sigma)
     });
-    format!("{still}{flat}")
+    let by_range = readings.noise_by_range.map_or_else(String::new, |[sigma, growth]| {
+        format!("; by range {:.1} mm and {:.1} mm per metre", 1e3 * sigma, 1e3 * growth)
+    });
+    format!("{still}{flat}{by_range}")
+}
+
+/// What a scenario's `range_dropout` and `crosstalk` may have at the most.
+fn stray_readings(readings: &ReadingQuality) -> String {
+    let shares = [(readings.lost_share, "lost"), (readings.random_share, "random")];
+    let told = shares.map(|(share, what)| Some(format!("{:.2} % {what}", 100.0 * share?)));
+    let told: Vec<String> = told.into_iter().flatten().collect();
+    if told.is_empty() {
+        "too few readings between two others of one wall to tell".to_owned()
+    } else {
+        format!("at most {}, between others of one wall", told.join(" and "))
+    }
 }
 
 fn odometry_error(odometry: &locsim_dataset::OdometryQuality) -> String {

@@ -168,7 +168,7 @@ pub struct RawLaser {
     /// Gaussian noise of a reading.
     #[serde(default)]
     pub noise: RawRangeNoise,
-    /// Where the laser sits on the robot.
+    /// Where the laser sits on the robot. Where it is left out, `gap` takes what the log says.
     #[serde(default)]
     pub mount: RawMount,
     /// Time that the laser takes for its field of view (s), 0 to 1 / `rate_hz`. Of n beams, beam i from 0 is taken i `scan_secs` / (n - 1) after the stamp, so this is the time from the first beam to the last; at 360 degrees i `scan_secs` / n, so it is the whole turn. Beams are taken counter-clockwise. `gap` has the times of the log's own beams where it says any, as a `time_increment`: the key can be left out then.
