@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, HashMap};
 use distreg::matrix::invert;
 use locsim_core::{Estimate, cell_at};
 use locsim_gap::{GapError, Number};
-use locsim_world::effect::{Effect, Parameter, Role};
+use locsim_world::effect::{Effect, Moves, Parameter, Role};
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -46,6 +46,17 @@ pub(super) struct Precise {
 struct Cluster {
     shifts: Vec<f64>,
     information: Vec<f64>,
+}
+
+/// How a parameter moves from a fit to the maximum of the parabola about it.
+struct Moved {
+    /// Its index among the effect's parameters.
+    index: usize,
+    shift: f64,
+    /// Of all parameters at once.
+    variance: f64,
+    /// The other parameters being as they are.
+    variance_alone: f64,
 }
 
 /// Gains about a fit.
@@ -108,22 +119,25 @@ impl Search<'_> {
         let mut is_known = effect.kind.strengths().all(|i| parameters[i].role != Role::Strength);
         let around = self.around(&mut effect, &smooth, given, expected, &logs, assignment, known)?;
         if let Some(around) = around {
-            let of_stretches: Vec<Vec<f64>> =
-                around.changes.iter().map(|change| self.today(change, &logs, assignment, known)).collect();
-            let totals: Vec<f64> = of_stretches.iter().map(|gains| gains.iter().sum()).collect();
-            let shifts = around.shifts(&totals);
-            let variances =
-                self.variances(&around, &of_stretches, &shifts, expected, assignment, known, &logs);
+            let mut moved = self.moved(&around, expected, assignment, known, &logs);
+            // How large an object is depends on where it stands, which stays as it was fitted.
+            if effect.kind.moves() == Moves::Objects {
+                let all: Vec<usize> = (0..parameters.len()).collect();
+                let mut fitted = effect.clone();
+                let around = self.around(&mut fitted, &all, given, expected, &logs, assignment, known)?;
+                let wider = around.map(|around| self.moved(&around, expected, assignment, known, &logs));
+                for beside_place in wider.into_iter().flatten() {
+                    let own = moved.iter_mut().find(|own| own.index == beside_place.index);
+                    own.into_iter().for_each(|own| own.variance = own.variance.max(beside_place.variance));
+                }
+            }
             let quantile = self.quantile();
-            for (n, &(i, step)) in around.steps.iter().enumerate() {
-                let parameter = &parameters[i];
-                let most = MOST_STEPS * step;
-                effect.values[i] =
-                    (effect.values[i] + shifts[n].clamp(-most, most)).clamp(parameter.lo, parameter.hi);
-                halves[i] = quantile * variances[n].sqrt();
-                let alone = quantile * variances[n + around.steps.len()].sqrt();
-                is_known |=
-                    parameter.role == Role::Strength && (effect.values[i] - parameter.neutral).abs() > alone;
+            for Moved { index, shift, variance, variance_alone } in moved {
+                let parameter = &parameters[index];
+                effect.values[index] = (effect.values[index] + shift).clamp(parameter.lo, parameter.hi);
+                halves[index] = quantile * variance.sqrt();
+                is_known |= parameter.role == Role::Strength
+                    && (effect.values[index] - parameter.neutral).abs() > quantile * variance_alone.sqrt();
             }
         }
         if let Some(lasting) = self.lasting(&effect, given, expected, &logs, assignment, known)?
@@ -139,6 +153,29 @@ impl Search<'_> {
                 (parameter.name, Number { estimate, unit: parameter.unit })
             });
         Ok(Precise { numbers: numbers.collect(), effect, is_known })
+    }
+
+    /// How the parameters move from a fit to the maximum of the parabola about it.
+    fn moved(
+        &self,
+        around: &Around,
+        expected: &[Expected],
+        assignment: &Assignment,
+        known: &Known,
+        logs: &[Vec<f64>; 2],
+    ) -> Vec<Moved> {
+        let of_stretches: Vec<Vec<f64>> =
+            around.changes.iter().map(|change| self.today(change, logs, assignment, known)).collect();
+        let totals: Vec<f64> = of_stretches.iter().map(|gains| gains.iter().sum()).collect();
+        let shifts = around.shifts(&totals);
+        let variances = self.variances(around, &of_stretches, &shifts, expected, assignment, known, logs);
+        let count = around.steps.len();
+        let moved = |(n, &(index, step)): (usize, &(usize, f64))| {
+            let most = MOST_STEPS * step;
+            let shift = shifts[n].clamp(-most, most);
+            Moved { index, shift, variance: variances[n], variance_alone: variances[n + count] }
+        };
+        around.steps.iter().enumerate().map(moved).collect()
     }
 
     /// The share of today's readings that bursts fall on, by the probability that they last in a reading's window. The likelihood of a share counts
@@ -173,7 +210,11 @@ impl Search<'_> {
         let mut steps = Vec::new();
         for &i in smooth {
             let (parameter, value) = (&parameters[i], effect.values[i]);
-            let mut step = (STEP * parameter.typical_step(value)).min(0.25 * (parameter.hi - parameter.lo));
+            let typical = match parameter.role {
+                Role::Position { first_step } => first_step,
+                _ => parameter.typical_step(value),
+            };
+            let mut step = (STEP * typical).min(0.25 * (parameter.hi - parameter.lo));
             let mut sides = None;
             for _ in 0..=HALVINGS {
                 // Away from the limits by more than rounding errors.
