@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use distreg::moments::Moments;
 use distreg::newton::newton_steps;
 use locsim_comparison::{Comparison, ComparisonError, Fitted, Replay, Views};
 use locsim_core::{Estimate, normal};
@@ -19,6 +20,10 @@ use crate::{GapError, Purpose, Recorded};
 const LOGS: u32 = 24;
 /// An interval that is wider than the fit's own by more than this factor isn't used: the information is nearly singular.
 const MOST_WIDENED: f64 = 5.0;
+
+/// Larger steps are taken where the variance by them is less than this share of that by smaller ones: the likelihood is rough then. Where it is
+/// no parabola they differ by less.
+const ROUGH_SHARE: f64 = 0.5;
 
 impl<'a> State<'a> {
     /// Takes its bias off each number, and gives it the interval of its spread, by what the fit makes of logs that are
@@ -60,19 +65,19 @@ impl<'a> State<'a> {
                     (step > 0.0).then_some((i, step))
                 })
                 .collect();
-            // Where steps are too small for a likelihood that is rough, larger ones.
+            // Where steps are too small for a likelihood that is rough, larger ones tell more, or tell anything at all.
             let mut shifts = None;
             for factor in [1.0, 3.0, 9.0] {
-                let numbers: Vec<(usize, f64)> = numbers
+                if factor == 9.0 && shifts.is_some() {
+                    break;
+                }
+                let larger: Vec<(usize, f64)> = numbers
                     .iter()
                     .map(|&(i, step)| (i, (factor * step).min(room(&effects[index], i))))
                     .collect();
-                let totals = self.totals(&effects, index, &numbers, &simulated, &views, round)?;
-                let steps: Vec<f64> = numbers.iter().map(|(_, step)| *step).collect();
-                shifts = newton_steps(&totals, &steps);
-                if shifts.is_some() {
-                    break;
-                }
+                let totals = self.totals(&effects, index, &larger, &simulated, &views, round)?;
+                let steps: Vec<f64> = larger.iter().map(|(_, step)| *step).collect();
+                shifts = surer(newton_steps(&totals, &steps), shifts, &numbers);
             }
             if let Some(shifts) = shifts {
                 for ((i, _), shifts) in numbers.iter().zip(shifts) {
@@ -150,6 +155,25 @@ impl<'a> State<'a> {
     }
 }
 
+/// The shifts of numbers by larger steps than before, if they are that much surer, and otherwise those before.
+fn surer(
+    larger: Option<Vec<Vec<f64>>>,
+    before: Option<Vec<Vec<f64>>>,
+    numbers: &[(usize, f64)],
+) -> Option<Vec<Vec<f64>>> {
+    let variance = |shifts: &Vec<Vec<f64>>| spread(shifts, numbers);
+    let known = before.as_ref().map(variance);
+    larger.filter(|larger| known.is_none_or(|known| variance(larger) < ROUGH_SHARE * known)).or(before)
+}
+
+/// Variance of the shifts of numbers by logs, \[number\]\[log\], in squares of the numbers' steps.
+fn spread(shifts: &[Vec<f64>], numbers: &[(usize, f64)]) -> f64 {
+    let of_number = |(shifts, (_, step)): (&Vec<f64>, &(usize, f64))| {
+        Moments::of(shifts.iter().copied()).variance() / step.powi(2)
+    };
+    shifts.iter().zip(numbers).map(of_number).sum()
+}
+
 /// How far a number of an effect can go either way.
 fn room(effect: &Effect, number: usize) -> f64 {
     let (parameter, value) = (&effect.kind.parameters()[number], effect.values[number]);
@@ -179,6 +203,29 @@ fn bound(effect: &Effect, evidence: &Evidence) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Parabolas with a maximum at 0, on which beams that come over edges put up to 0.3 nats here and there. By a step over which the parabola
+    /// falls by as much the maximum is anywhere, by three times that step it is near 0.
+    #[test]
+    fn larger_steps_tell_more_where_a_likelihood_is_rough() {
+        let numbers = [(0, 0.1)];
+        let by = |step: f64, roughness: f64| {
+            let rough =
+                |log: i32, at: i32| roughness * f64::from((log * 37 + at * 61).rem_euclid(101)) / 101.0;
+            let total =
+                |log: i32, at: i32| -30.0 * (f64::from(at) * step - 0.002 * f64::from(log % 7)).powi(2);
+            let totals: Vec<Vec<f64>> =
+                (0..24).map(|log| [0, 1, -1].map(|at| total(log, at) + rough(log, at)).to_vec()).collect();
+            newton_steps(&totals, &[step])
+        };
+        let of = |roughness: f64| [0.3, 0.1].map(|step| by(step, roughness));
+        let [larger, smaller] = of(0.3);
+        assert_eq!(surer(larger.clone(), smaller, &numbers), larger);
+        let [larger, smaller] = of(0.001);
+        assert_eq!(surer(larger.clone(), smaller.clone(), &numbers), smaller);
+        assert_eq!(surer(larger.clone(), None, &numbers), larger);
+        assert_eq!(surer(None, smaller.clone(), &numbers), smaller);
+    }
 
     /// A bias of 2 cm that gains 50 nats, or has a score of 10 standard deviations, is known to 2 mm; a gain that is larger
     /// than the score allows counts for no more.

@@ -28,7 +28,9 @@ const PARTS: usize = 8;
 /// alone are of things that stand or walk there, those at some walls of a pane or a mirror, and so is what else gains next to nothing beside
 /// them. Clutter is in front of walls all around. Returns that any beam loses are lost at all places, and by each beam of the laser.
 pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Result<Vec<Candidate>, GapError> {
-    let is_there = |e: &Effect| has_what_it_predicts(&round.comparison, &round.fitted, &round.effects, e);
+    let stands = round.blocks.policy.stands();
+    let is_there =
+        |e: &Effect| has_what_it_predicts(&round.comparison, &round.fitted, &round.effects, e, stands);
     // What a measured map has for walls may send nothing back at all.
     let is_exact = round.comparison.nominal.pieces.is_none();
     let mut most = 0.0_f64;
@@ -46,7 +48,7 @@ pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Resu
     });
     // Clutter that stands, as the scenario has it, is no deeper for what comes and goes.
     let of_scenario = round.comparison.nominal.blocks.map(|blocks| BlockPolicy::of_scenario(&blocks));
-    let are_others = of_scenario.is_some_and(|blocks| blocks.stands()) && !round.blocks.policy.stands();
+    let are_others = of_scenario.is_some_and(|blocks| blocks.stands()) && !stands;
     for i in (0..candidates.len()).rev() {
         let is_enough = total(&candidates[i]) >= LEAST_CLUTTER_SHARE * most;
         let effect = &candidates[i].effect;
@@ -63,12 +65,13 @@ fn total(candidate: &Candidate) -> f64 {
 }
 
 /// Whether a log, fitted under the given effects, has the readings that another one predicts: random ones behind walls, clutter in front of
-/// them, and lost ones.
+/// them, and lost ones. What stands all the time makes many readings of few things, and is where these are.
 fn has_what_it_predicts(
     comparison: &Comparison<'_>,
     fitted: &Fitted,
     given: &[Effect],
     effect: &Effect,
+    stands: bool,
 ) -> Result<bool, GapError> {
     let bursts = effect.bursts();
     let are_seldom = bursts.as_ref().is_some_and(Bursts::are_seldom);
@@ -113,7 +116,8 @@ fn has_what_it_predicts(
         }
         predicted[0] > most_lacking * (predicted[0] + predicted[1])
     };
-    Ok(are_seldom || !(0..COVARIATES).any(lacks))
+    let is_of_few_things = side == Side::InFront && stands;
+    Ok(are_seldom || is_of_few_things || !(0..COVARIATES).any(lacks))
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -213,7 +217,7 @@ mod tests {
             let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
             let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
             let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-            let found = has_what_it_predicts(&comparison, &fitted, &[], &random(p)).unwrap();
+            let found = has_what_it_predicts(&comparison, &fitted, &[], &random(p), false).unwrap();
             assert_eq!(found, is_there, "{p} of {hidden:?}");
         }
     }
@@ -240,8 +244,22 @@ mod tests {
             let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
             let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
             let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-            let found = has_what_it_predicts(&comparison, &fitted, &[], predicted).unwrap();
+            let found = has_what_it_predicts(&comparison, &fitted, &[], predicted, false).unwrap();
             assert_eq!(found, is_there, "{} of {}", predicted.kind, hidden.kind);
         }
+    }
+
+    /// Deeper clutter that stands is in front of some walls and not of others: it is a matter of where few things are. What comes and goes has to be
+    /// all around.
+    #[test]
+    fn clutter_that_stands_is_where_it_is() {
+        let deep = Effect::new(EffectKind::BlockDepth, vec![3.0], Vec::new()).unwrap();
+        let regime = Regime { persistent_blocks: true, pose_error: None };
+        let drive = record_library(&NOMINAL, &TRUTH, std::slice::from_ref(&deep), regime, 3).unwrap();
+        let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let is_there = |stands: bool| has_what_it_predicts(&comparison, &fitted, &[], &deep, stands).unwrap();
+        assert!(is_there(true) && !is_there(false));
     }
 }
