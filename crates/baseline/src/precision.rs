@@ -127,8 +127,9 @@ impl Search<'_> {
                 let around = self.around(&mut fitted, &all, given, expected, &logs, assignment, known)?;
                 let wider = around.map(|around| self.moved(&around, expected, assignment, known, &logs));
                 for beside_place in wider.into_iter().flatten() {
-                    let own = moved.iter_mut().find(|own| own.index == beside_place.index);
-                    own.into_iter().for_each(|own| own.variance = own.variance.max(beside_place.variance));
+                    if let Some(own) = moved.iter_mut().find(|own| own.index == beside_place.index) {
+                        own.variance = own.variance.max(beside_place.variance);
+                    }
                 }
             }
             let quantile = self.quantile();

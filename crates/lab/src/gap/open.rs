@@ -540,7 +540,8 @@ mod tests {
         assert_eq!(told_with(5.0), None);
         assert!(told(3, walks, 2.0, None).unwrap().contains("the scenario has no `blocks`"));
         // Blocks are added where there are none, as far as these readings are or up to a metre. What is farther off is in the open.
-        let added = |at_m: f32, blocks| told_in(6.0, 3, walks, at_m, blocks).unwrap().blocks();
+        let added =
+            |at_m: f32, blocks: Option<&BlockOptions>| told_in(6.0, 3, walks, at_m, blocks).unwrap().blocks();
         let reach = |at_m: f32| added(at_m, None).map(|blocks| blocks.wall_distance_m);
         assert_eq!([reach(2.0), reach(5.5)], [Some([0.0, 1.0]), Some([0.0, 0.6])]);
         assert_eq!(added(2.0, Some(&blocks(0.5))), None);
