@@ -20,8 +20,10 @@ const CELL_M: f64 = 0.1;
 const MOST_CELLS: f64 = 4e6;
 /// A reading is of something in front of the wall if it is shorter by this \[m\]: more than noise and errors of a reference make of it.
 const MARGIN_M: f64 = 0.3;
-/// It is in the open if no block comes nearer than this and half a cell \[m\].
+/// It is in the open if no block comes nearer than this and half a cell \[m\], of cells so much smaller than those that tell distances: people stand a
+/// few centimetres beyond what a scenario says of its blocks.
 const BEYOND_M: f64 = 0.02;
+const REACH_CELLS: f64 = 0.4;
 /// Things in the open that stand beside a wall's end reach so much farther along the wall \[m\].
 const PAST_END_M: f64 = 0.2;
 /// Places that are looked at to find how far from walls things have to stand, at the most.
@@ -221,9 +223,10 @@ pub(super) fn in_open(
     let area = (x1 - x0 + 2.0 * FARTHEST_M) * (y1 - y0 + 2.0 * FARTHEST_M);
     let cell_m = (area / MOST_CELLS).sqrt().max(CELL_M);
     let distances = DistanceGrid::new(map.geometry(), cell_m, FARTHEST_M).ok()?;
-    let near_m = 0.5 * cell_m + BEYOND_M;
+    let reach_cell_m = REACH_CELLS * cell_m;
+    let near_m = 0.5 * reach_cell_m + BEYOND_M;
     let at_walls = |blocks: &BlockOptions| {
-        Some(BlockModel::new(*blocks, map.geometry()).ok()?.lattice_in_reach(cell_m, near_m))
+        Some(BlockModel::new(*blocks, map.geometry()).ok()?.lattice_in_reach(reach_cell_m, near_m))
     };
     let in_reach = blocks.and_then(at_walls);
     let is_measured = !map.geometry().wall_sigmas().is_empty();
@@ -255,7 +258,7 @@ pub(super) fn in_open(
             let end = pose.position() + range * DVec2::new(cos, sin);
             let distance = f64::from(distances.distance(end.x, end.y));
             let is_in_open = in_reach.as_ref().map_or(distance > cell_m + BEYOND_M, |in_reach| {
-                let at = (end / cell_m).round();
+                let at = (end / reach_cell_m).round();
                 !in_reach.contains(&[at.x as i32, at.y as i32])
             });
             Some((Open { scan, end, distance, range }, is_in_open))
