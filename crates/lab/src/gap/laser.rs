@@ -14,21 +14,14 @@ const SAME_MOUNT: f64 = 2e-3;
 /// and scenario agree on where beams point on the robot, the log's bearings become the scenario's.
 pub(super) fn with_mount(drive: Drive, scenario: &Laser, warnings: &mut Vec<String>) -> Drive {
     let mount = scenario.base_from_laser();
-    let logged = drive.laser.base_from_laser();
-    let turned = wrap_angle(logged.theta - mount.theta);
-    let points = |bearing: Option<&f32>| bearing.map_or(f64::NAN, |&bearing| f64::from(bearing));
-    let first = wrap_angle(points(drive.laser.bearings().first()) + turned);
-    let same_directions = turned.abs() > SAME_MOUNT
-        && wrap_angle(first - points(scenario.bearings().first())).abs() < SAME_MOUNT;
-    let bearings: Vec<f32> = if same_directions {
-        drive.laser.bearings().iter().map(|&bearing| (f64::from(bearing) + turned) as f32).collect()
-    } else {
-        drive.laser.bearings().to_vec()
+    let bearings: Vec<f32> = match turn_of_bearings(&drive.laser, scenario) {
+        Some(turn) => {
+            drive.laser.bearings().iter().map(|&bearing| (f64::from(bearing) + turn) as f32).collect()
+        }
+        None => drive.laser.bearings().to_vec(),
     };
-    // Turned bearings are the same directions; the place of the laser is another matter.
-    let logged = if same_directions { Pose2 { theta: mount.theta, ..logged } } else { logged };
-    let apart = logged.relative_to(&mount);
-    if apart.position().length() > SAME_MOUNT || apart.theta.abs() > SAME_MOUNT {
+    let logged = logged_mount(&drive.laser, scenario);
+    if are_apart(&logged, &mount) {
         warnings.push(format!(
             "The log has the laser at {} on the robot; the scenario's {} is used.",
             mount_in_words(logged),
@@ -46,6 +39,31 @@ pub(super) fn with_mount(drive: Drive, scenario: &Laser, warnings: &mut Vec<Stri
         Ok(laser) => Drive { laser, ..drive },
         Err(_) => drive,
     }
+}
+
+/// The angle between two ways to say where beams point \[rad\]: the log's bearings and mount, and the scenario's. `None` where they don't point alike, or
+/// are said alike.
+fn turn_of_bearings(log: &Laser, scenario: &Laser) -> Option<f64> {
+    let turn = wrap_angle(log.base_from_laser().theta - scenario.base_from_laser().theta);
+    let first = |laser: &Laser| laser.bearings().first().map_or(f64::NAN, |&bearing| f64::from(bearing));
+    let apart = wrap_angle(first(log) + turn - first(scenario));
+    (turn.abs() > SAME_MOUNT && apart.abs() < SAME_MOUNT).then_some(turn)
+}
+
+/// The log's mount, for the scenario's bearings where beams point alike: turned bearings are the same directions, and the place of the laser is another
+/// matter.
+pub(super) fn logged_mount(log: &Laser, scenario: &Laser) -> Pose2 {
+    let mount = log.base_from_laser();
+    match turn_of_bearings(log, scenario) {
+        Some(_) => Pose2 { theta: scenario.base_from_laser().theta, ..mount },
+        None => mount,
+    }
+}
+
+/// Whether two mounts are others.
+pub(super) fn are_apart(a: &Pose2, b: &Pose2) -> bool {
+    let apart = a.relative_to(b);
+    apart.position().length() > SAME_MOUNT || apart.theta.abs() > SAME_MOUNT
 }
 
 /// The laser's place on the robot.
@@ -251,6 +269,11 @@ mod tests {
             assert_eq!(found.laser.base_from_laser(), scenario.base_from_laser());
             assert_eq!(notes.len(), usize::from(told.is_some()), "{notes:?}");
             assert!(told.is_none_or(|told| notes[0].contains(told)), "{notes:?}");
+        }
+        // For the scenario's bearings, where those point alike.
+        for (turn, expected) in [(0.0, -half), (0.1, 0.1)] {
+            let log = laser(-0.4, Pose2::new(-0.04, 0.0, turn));
+            assert_eq!(logged_mount(&log, &scenario), Pose2::new(-0.04, 0.0, expected));
         }
     }
 

@@ -34,7 +34,7 @@ pub use locsim_gap::{BeamPit, Outcome};
 pub use filter::FilterOnLog;
 pub use proposal::{scenario_after, scenario_since};
 
-use laser::{mount_in_words, with_beams, with_mount};
+use laser::{are_apart, logged_mount, mount_in_words, with_beams, with_mount};
 use open::InOpen;
 
 use crate::LabError;
@@ -200,8 +200,12 @@ impl GapStudy {
         if settings.baseline.is_none() && simulator.laser.sigma_m <= 0.0 {
             return Err(refuse("laser.noise.sigma_m", &without_noise(&drive, &summary)).into());
         }
-        let is_known = !scenario.has_key("laser.mount") && summary.mount != MountSource::Unknown;
-        let logged_mount = Some(drive.laser.base_from_laser()).filter(|_| is_known);
+        let laser = LaserSimulator::new(simulator.laser).map_err(GapError::from)?;
+        let mount = logged_mount(&drive.laser, laser.laser());
+        let is_news = !scenario.has_key("laser.mount")
+            && summary.mount != MountSource::Unknown
+            && are_apart(&mount, &simulator.laser.mount);
+        let logged_mount = is_news.then_some(mount);
         if let Some(mount) = logged_mount {
             simulator.laser.mount = mount;
             warnings.push(format!(

@@ -543,14 +543,15 @@ mod tests {
         assert_eq!(told_with(5.0), None);
         assert!(told(3, walks, 2.0, None).unwrap().contains("the scenario has no `blocks`"));
         // Blocks are added where there are none, as far as these readings are or up to a metre. What is farther off is in the open.
-        let added =
-            |at_m: f32, blocks: Option<&BlockOptions>| told_in(6.0, 3, walks, at_m, blocks).unwrap().blocks();
-        let reach = |at_m: f32| added(at_m, None).map(|blocks| blocks.wall_distance_m);
-        assert_eq!([reach(2.0), reach(5.5)], [Some([0.0, 1.0]), Some([0.0, 0.6])]);
-        assert_eq!(added(2.0, Some(&blocks(0.5))), None);
+        let added = |wall_m: f64, at_m: f32, blocks: Option<&BlockOptions>| {
+            told_in(wall_m, 3, walks, at_m, blocks).unwrap().blocks()
+        };
+        let reach = |wall_m: f64, at_m: f32| added(wall_m, at_m, None).map(|blocks| blocks.wall_distance_m);
+        assert_eq!([reach(6.0, 2.0), reach(2.0, 1.6)], [Some([0.0, 1.0]), Some([0.0, 0.8])]);
+        assert_eq!(added(6.0, 2.0, Some(&blocks(0.5))), None);
         assert!(told(3, walks, 2.0, None).unwrap().ends_with("has those up to 1.0 m from a wall."));
         assert!(
-            told(3, walks, 2.0, added(2.0, None).as_ref())
+            told(3, walks, 2.0, added(6.0, 2.0, None).as_ref())
                 .unwrap()
                 .contains("no block of the scenario reaches")
         );
