@@ -35,7 +35,7 @@ pub use filter::FilterOnLog;
 pub use proposal::{scenario_after, scenario_since};
 
 use laser::{are_apart, logged_mount, mount_in_words, with_beams, with_mount};
-use open::InOpen;
+use open::Clutter;
 
 use crate::LabError;
 use crate::inspect::{doubts, frozen_odometry};
@@ -235,23 +235,15 @@ impl GapStudy {
         // Beside a baseline, clutter is as the baseline has it.
         if baseline.is_none() {
             let steps = open::looked_at(drive.steps.iter().filter(|step| is_free(&map, step)));
-            let found_with =
-                |blocks: Option<&BlockOptions>| open::in_open(&steps, &drive.laser, &map, blocks);
-            let mut found = found_with(simulator.blocks.as_ref());
-            warnings.extend(found.as_ref().and_then(InOpen::warning));
-            added_blocks = found.as_ref().and_then(InOpen::blocks);
-            if added_blocks.is_some() {
-                simulator.blocks = added_blocks;
-                found = found_with(added_blocks.as_ref());
-            }
-            if let Some(found) = found {
-                let seed = Purpose::InTheOpen.draw(scenario.seed).seed(0);
-                let effects = simulator.effects().map_err(GapError::from)?;
-                let empty = Simulator::new(Arc::clone(&map), None, simulator.laser, effects)
-                    .map_err(GapError::from)?;
-                let things = found.things(&steps, &empty, simulator.blocks.as_ref(), seed);
-                in_the_open = things.map_err(GapError::from)?;
-            }
+            let seed = Purpose::InTheOpen.draw(scenario.seed).seed(0);
+            let effects = simulator.effects().map_err(GapError::from)?;
+            let empty =
+                Simulator::new(Arc::clone(&map), None, simulator.laser, effects).map_err(GapError::from)?;
+            let clutter = Clutter::of(&steps, &drive.laser, &empty, simulator.blocks.as_ref(), seed);
+            let clutter = clutter.map_err(GapError::from)?;
+            warnings.extend(clutter.warning);
+            (added_blocks, in_the_open) = (clutter.blocks, clutter.things);
+            simulator.blocks = simulator.blocks.or(added_blocks);
         }
         let is_localized = summary.kind == LogKind::Localized;
         Ok(Self {

@@ -64,7 +64,7 @@ struct Open {
 }
 
 /// Readings in the open.
-pub(super) struct InOpen {
+struct InOpen {
     /// Their share of all returns.
     share: f64,
     /// The share of returns that end in front of walls where blocks can be.
@@ -212,8 +212,41 @@ pub(super) fn looked_at<'a>(steps: impl Iterator<Item = &'a DriveStep>) -> Vec<&
     steps.into_iter().step_by(every).collect()
 }
 
+/// What simulated logs get beside what the scenario has, so that they have as much in front of walls as the log.
+pub(super) struct Clutter {
+    /// What is told of it, if anything.
+    pub warning: Option<String>,
+    /// Blocks for a scenario that has none.
+    pub blocks: Option<BlockOptions>,
+    /// People and things where none of the blocks can be, neither the scenario's nor the added ones.
+    pub things: Option<BlockOptions>,
+}
+
+impl Clutter {
+    /// By scans whose reference poses are known, and a simulator without blocks.
+    ///
+    /// # Errors
+    /// As the simulator's.
+    pub fn of(
+        steps: &[&DriveStep],
+        laser: &Laser,
+        empty: &Simulator,
+        of_scenario: Option<&BlockOptions>,
+        seed: u64,
+    ) -> Result<Self, SimulationError> {
+        let found_with = |blocks: Option<&BlockOptions>| in_open(steps, laser, empty.map(), blocks);
+        let found = found_with(of_scenario);
+        let warning = found.as_ref().and_then(InOpen::warning);
+        let blocks = found.as_ref().and_then(InOpen::blocks);
+        let found = if blocks.is_some() { found_with(blocks.as_ref()) } else { found };
+        let known = of_scenario.or(blocks.as_ref());
+        let things = found.map(|found| found.things(steps, empty, known, seed)).transpose()?.flatten();
+        Ok(Self { warning, blocks, things })
+    }
+}
+
 /// Readings in the open, from scans whose reference poses are known; `None` where there are few.
-pub(super) fn in_open(
+fn in_open(
     steps: &[&DriveStep],
     laser: &Laser,
     map: &ExactRangeMap,
@@ -481,6 +514,28 @@ mod tests {
         assert!((0.7..1.4).contains(&ratio), "{} {}", found.share, refound.share);
         let one_thing = InOpen { is_one_thing: true, ..found };
         assert!(hall.things(&one_thing, &steps).is_none());
+    }
+
+    /// Of a scenario without blocks, what stands at walls are blocks, and what stands three to four metres from them is in the open.
+    #[test]
+    fn a_scenario_without_blocks_gets_some_and_things_in_the_open() {
+        let hall = Hall::new(blocks(0.2));
+        let far = BlockOptions { per_metre_of_wall: 0.05, wall_distance_m: [3.0, 4.0], ..hall.walls };
+        let at_walls = hall.simulator(Some(hall.walls));
+        let everywhere = at_walls.clone().with_more_blocks(far).unwrap();
+        let empty = hall.simulator(None);
+        let of = |simulator: &Simulator, of_scenario: Option<&BlockOptions>| {
+            let steps = Hall::scans(simulator, 3);
+            let steps: Vec<&DriveStep> = steps.iter().collect();
+            Clutter::of(&steps, empty.laser().laser(), &empty, of_scenario, 7).unwrap()
+        };
+        let found = of(&everywhere, None);
+        assert_eq!(found.blocks.unwrap().wall_distance_m, [0.0, AT_WALLS_M]);
+        assert!(found.things.unwrap().wall_distance_m[1] > 3.0 && found.warning.is_some());
+        let found = of(&everywhere, Some(&hall.walls));
+        assert!(found.blocks.is_none() && found.things.is_some());
+        let found = of(&at_walls, None);
+        assert!(found.blocks.is_some() && found.things.is_none());
     }
 
     /// Things amid a hall, three to four metres from its walls, and none nearer. Those of simulated logs keep away from walls, too.
