@@ -94,8 +94,9 @@ pub const CORRECTIONS: usize = 8;
 const CORRECTED_M: f64 = 0.001;
 /// The most times that beams are cast anew.
 const RECASTS: usize = 2;
-/// Such steps in which readings that are far off count.
+/// Such steps in which readings that are far off count, and by how much the first of them changes errors where such readings say something \[m\].
 const FAR_CORRECTIONS: usize = 4;
+const FAR_M: f64 = 0.01;
 /// Errors that lie more surely than this in one pattern of an effect (standard deviations) are the effect's.
 const MOST_IN_PATTERN: f64 = 10.0;
 /// Squares of errors exceed the variance of the noise by more than this factor where there is more noise than is simulated.
@@ -288,10 +289,12 @@ impl<'a> Comparison<'a> {
         // A reference that errs may err by more for a while; an exact one is not made to.
         let far = self.converge(effects, near.clone(), iterations, FAR_CORRECTIONS);
         let total = |fitted: &Fitted| self.evaluate_views(&self.views, effects, fitted, 0).total();
-        if !far.is_in_pattern() && total(&far) > total(&near) { far } else { near }
+        let is_better = |far: &Fitted| !far.is_in_pattern() && total(far) > total(&near);
+        if most_change(&near.corrections, &far.corrections) < FAR_M || !is_better(&far) { near } else { far }
     }
 
-    /// Fits the nuisances step by step, from those of `fitted`. In the first `far` steps readings that are far off count as well.
+    /// Fits the nuisances step by step, from those of `fitted`. In the first `far` steps readings that are far off count as well; where the first of
+    /// these changes next to nothing, it is the last.
     fn converge(&self, effects: &Effects, mut fitted: Fitted, iterations: usize, far: usize) -> Fitted {
         let mut process = fitted.nuisances.pose_error;
         // Where walls err as well, they and the noise of single poses take from each other.
@@ -327,7 +330,9 @@ impl<'a> Comparison<'a> {
             let before = std::mem::replace(&mut fitted.corrections, corrections);
             let moved = self.fit_walls(&mut fitted, &pass, iterations);
             let changed = moved.max(most_change(&before, &fitted.corrections));
-            let is_last = round + 1 == far + CORRECTIONS || round > far && changed < CORRECTED_M;
+            let is_last = round + 1 == far + CORRECTIONS
+                || round > far && changed < CORRECTED_M
+                || round == 0 && far > 0 && changed < FAR_M;
             if is_last && !fitted.nuisances.pose_error.is_none() {
                 let error = if has_exact_walls {
                     longest_lasting(process, secs, &information, &patterns)

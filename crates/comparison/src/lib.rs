@@ -26,4 +26,4 @@ pub use likelihood::{Density, Terms, near_density, normal_density};
 pub use nominal::{BlockPolicy, Guess, Nominal};
 pub use pose_pattern::{PosePattern, errors_beyond_patterns};
 pub use replay::{BlockTruth, OBJECT_CELL_M, Replay, fit_persistence};
-pub use views::{Beam, PieceView, Views, beam_headings, jumps};
+pub use views::{Beam, PieceView, Views, beam_headings, jumps, surface_ranges};

@@ -262,6 +262,20 @@ pub fn beam_headings(nominal: &Nominal, recorded: &Recorded) -> Vec<(DVec2, f64)
     all.map(|ray| (ray.origin, ray.direction.to_angle())).collect()
 }
 
+/// Ranges of the surfaces that the beams that are looked at meet in a world with these effects, by scan and beam \[m\]. Clutter isn't
+/// looked for.
+pub fn surface_ranges(nominal: &Nominal, recorded: &Recorded, effects: &Effects) -> Vec<f64> {
+    let directions = directions(recorded, effects);
+    let caster = caster(nominal, recorded, effects, &directions);
+    let of_scan = |scan| {
+        let rays: Vec<Ray> = rays(recorded, &caster, scan, recorded.kept.iter().copied()).collect();
+        let mut beams = Vec::new();
+        caster.cast(&rays, &mut beams);
+        beams.into_iter().map(|beam| beam.range).collect::<Vec<f64>>()
+    };
+    (0..recorded.scans()).into_par_iter().flat_map_iter(of_scan).collect()
+}
+
 /// Casts a log's beams.
 struct Casts<'a> {
     nominal: &'a Nominal,

@@ -40,6 +40,8 @@ pub(crate) struct Candidate {
     pub intervals: Vec<Interval>,
     /// Whether the effect's own statistics are significant at the search's false-alarm rate.
     pub is_beyond_chance: bool,
+    /// Whether most readings are off, and by half as much at the most with the effect.
+    pub moves_most: bool,
     /// See [`crate::outcome::Evidence::score`].
     pub score: Option<f64>,
 }
@@ -300,7 +302,15 @@ impl Search<'_, '_> {
             (held_out.collect(), intervals(&effect, &inverse, &gradient))
         };
         let fitted_gains = gains.clone();
-        Ok(Candidate { effect, gains, fitted_gains, intervals, is_beyond_chance: false, score: None })
+        Ok(Candidate {
+            effect,
+            gains,
+            fitted_gains,
+            intervals,
+            is_beyond_chance: false,
+            moves_most: false,
+            score: None,
+        })
     }
 }
 

@@ -21,7 +21,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
 use locsim_comparison::{
-    BlockPolicy, BlockTruth, Comparison, Fitted, Nuisances, Replay, Views, fit_persistence,
+    BlockPolicy, BlockTruth, Comparison, Fitted, Nuisances, Replay, Views, fit_persistence, surface_ranges,
 };
 use locsim_core::Progress;
 use locsim_world::effect::{Effect, EffectKind, Moves};
@@ -133,6 +133,8 @@ pub fn find(
 ) -> Result<Outcome, GapError> {
     nominal.check(recorded)?;
     progress.stage("fitting blocks and reference", 1);
+    let within = within_limit(nominal, recorded);
+    let recorded = &within;
     let known = known_part(nominal, recorded, options.seed)?;
     let nominal = known.as_ref().map_or(nominal, |known| &known.nominal);
     let mut options = options.clone();
@@ -173,6 +175,20 @@ pub fn find(
     let remaining = state.remaining(&mut path)?;
     let outcome = state.outcome(path, remaining.as_ref(), nameless)?;
     Ok(Outcome { map: known.map(|known| known.findings), ..outcome })
+}
+
+/// A beam is at the laser's limit where noise of so many standard deviations takes its range to the other side of it.
+const AT_LIMIT_SIGMAS: f64 = 4.0;
+
+/// The log without beams that nominally end at the laser's maximum range. Whether noise makes a return of a wall that is a little farther away is
+/// each driver's own way, and readings that no simulated log can have say much.
+fn within_limit(nominal: &Nominal, recorded: &Recorded) -> Recorded {
+    let laser = &nominal.laser;
+    let max = laser.max_range_m;
+    let at_limit = AT_LIMIT_SIGMAS * (laser.sigma_m + laser.sigma_per_m * max);
+    let ranges = surface_ranges(nominal, recorded, &nominal.effects);
+    let ignored: Vec<bool> = ranges.into_iter().map(|range| (range - max).abs() < at_limit).collect();
+    recorded.without(&ignored)
 }
 
 /// The part of a log that a measured map says something of.
@@ -324,6 +340,7 @@ impl<'a> State<'a> {
                     || weight >= beyond_chance && round.own(kind).all(is_bounded)
                     || kind.moves() == Moves::Scans && candidate.gain() > of_noise);
             candidate.is_beyond_chance = weight >= beyond_chance || is_beyond_score;
+            candidate.moves_most = moving.contains(&kind);
             candidate.score = (has_score && !is_beyond_score).then_some(off);
             // Beyond its score a fit gains only where the effect is strong. The depth of clutter has no score, and readings
             // where nominal clutter can't stand say far more than the mean depth. A share of readings is no score either, nor a
@@ -339,5 +356,29 @@ impl<'a> State<'a> {
             }
         }
         Ok(candidates)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use locsim_comparison::fixtures::{DRIVE, MAX_M, NOMINAL, SIGMA_M};
+
+    use super::*;
+
+    /// Beams whose walls are at the maximum range, to four standard deviations, have no readings. All others keep theirs.
+    #[test]
+    fn beams_at_the_laser_s_limit_are_left_out() {
+        let recorded = Recorded::new(&DRIVE, 100, 72, |_| true).unwrap();
+        let within = within_limit(&NOMINAL, &recorded);
+        let ranges = surface_ranges(&NOMINAL, &recorded, &NOMINAL.effects);
+        let mut left_out = 0;
+        for (i, range) in ranges.iter().enumerate() {
+            let is_at_limit = (range - MAX_M).abs() < 4.0 * SIGMA_M;
+            left_out += usize::from(is_at_limit);
+            let is_kept = within.readings[i].to_bits() == recorded.readings[i].to_bits();
+            assert!(is_kept || is_at_limit && within.readings[i].is_nan(), "{i} {range}");
+            assert!(!is_at_limit || within.readings[i].is_nan(), "{i} {range}");
+        }
+        assert!((5..700).contains(&left_out), "{left_out}");
     }
 }

@@ -1,5 +1,6 @@
 //! Readings in front of walls and behind them, and lost ones, that an effect predicts.
 
+use glam::DVec2;
 use locsim_comparison::{Beam, BlockPolicy, Comparison, Fitted};
 
 use super::Round;
@@ -11,6 +12,9 @@ use locsim_world::effect::{Bursts, Effect, Effects, Fit, Moves};
 
 /// A reading is behind a wall, or in front of it, where it differs by so much from the range in the map \[m\].
 const OFF_M: f64 = 0.2;
+/// A reading is random rather than of clutter or noise where the one is so much likelier, and on a surface within this and its noise \[m\].
+const UNLIKELY: f64 = 50.0;
+const ON_SURFACE_M: f64 = 0.01;
 /// The log has at least this share of what an effect predicts,
 const LEAST_SHARE: f64 = 0.5;
 /// where it predicts so many standard deviations more than there would be without it.
@@ -25,18 +29,19 @@ const LEAST_CLUTTER_SHARE: f64 = 0.5;
 const PARTS: usize = 8;
 
 /// Drops effects that predict readings which the log doesn't have. Random readings are behind walls as well, and all around: those in front
-/// alone are of things that stand or walk there, those at some walls of a pane or a mirror, and so is what else gains next to nothing beside
-/// them. Clutter is in front of walls all around. Returns that any beam loses are lost at all places, and by each beam of the laser.
+/// alone are of things that stand or walk there, those at some walls of a pane or a mirror, those on other surfaces of beams that met these, and so is
+/// what else gains next to nothing beside them. Clutter is in front of walls all around. Returns that any beam loses are lost at all places, and by each beam of the laser.
 pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Result<Vec<Candidate>, GapError> {
     let stands = round.blocks.policy.stands();
     let is_there =
         |e: &Effect| has_what_it_predicts(&round.comparison, &round.fitted, &round.effects, e, stands);
+    let are_on_surfaces = || end_on_surfaces(&round.comparison, &round.fitted, &round.effects);
     // What a measured map has for walls may send nothing back at all.
     let is_exact = round.comparison.nominal.pieces.is_none();
     let mut most = 0.0_f64;
     for i in (0..candidates.len()).rev() {
         let kind = candidates[i].kind();
-        if kind.is_of_random_readings() && !is_there(&candidates[i].effect)? {
+        if kind.is_of_random_readings() && (!is_there(&candidates[i].effect)? || are_on_surfaces()?) {
             most = most.max(total(&candidates.remove(i)));
         } else if is_exact && kind.loses_returns() && !is_there(&candidates[i].effect)? {
             candidates.remove(i);
@@ -62,6 +67,33 @@ pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Resu
 
 fn total(candidate: &Candidate) -> f64 {
     candidate.fitted_gains.iter().sum()
+}
+
+/// Whether most readings that clutter and noise hardly explain end on surfaces of the map. Random ones end there by chance alone. A beam that passes a
+/// pillar by less than the map is wrong by meets the pillar.
+fn end_on_surfaces(comparison: &Comparison<'_>, fitted: &Fitted, given: &[Effect]) -> Result<bool, GapError> {
+    let effects = comparison.effects(given)?;
+    let (views, laser) = (&comparison.views, &comparison.nominal.laser);
+    let walls = comparison.nominal.map.geometry().segments();
+    let mut on_surfaces = [0_usize; 2];
+    comparison.for_each_reading(views, &effects, fitted, |_, i, _, shift, z, terms| {
+        let beam = &views.beams[i];
+        let is_random = terms.measure / laser.max_range_m > UNLIKELY * terms.density;
+        if z >= laser.max_range_m || (z - beam.range() - shift).abs() < OFF_M || !is_random {
+            return;
+        }
+        let (end, near) = (beam.view.point_at(z), ON_SURFACE_M + laser.sigma_m + laser.sigma_per_m * z);
+        let is_on_surface = walls.iter().any(|wall| distance_to(end, wall) < near);
+        on_surfaces[usize::from(is_on_surface)] += 1;
+    });
+    Ok(on_surfaces[1] > on_surfaces[0])
+}
+
+/// The distance from a point to a segment \[m\].
+fn distance_to(point: DVec2, [a, b]: &[DVec2; 2]) -> f64 {
+    let along = *b - *a;
+    let share = ((point - *a).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+    point.distance(*a + share * along)
 }
 
 /// Whether a log, fitted under the given effects, has the readings that another one predicts: random ones behind walls, clutter in front of
@@ -189,7 +221,6 @@ impl Counts {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec2;
     use locsim_comparison::Nuisances;
     use locsim_comparison::fixtures::{NOMINAL, TRUTH};
     use locsim_comparison::hidden::{Regime, record_library};
@@ -261,5 +292,37 @@ mod tests {
         let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
         let is_there = |stands: bool| has_what_it_predicts(&comparison, &fitted, &[], &deep, stands).unwrap();
         assert!(is_there(true) && !is_there(false));
+    }
+
+    /// Beams that pass a wall's end by a centimetre meet it. Random readings of one beam in fifty end there by chance alone.
+    #[test]
+    fn random_readings_end_on_no_surface() {
+        let random = Effect::new(EffectKind::Crosstalk, vec![0.02, 1.0], Vec::new()).unwrap();
+        let ends_on_surfaces = |hidden: &[Effect], at_ends: bool| {
+            let drive = record_library(&NOMINAL, &TRUTH, hidden, Regime::default(), 3).unwrap();
+            let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            let walls = NOMINAL.map.geometry().segments();
+            let at_end = |i: usize| {
+                let view = &comparison.views.beams[i].view;
+                walls.iter().flatten().find_map(|end| {
+                    let along = view.range
+                        - (view.endpoint - *end).dot(view.endpoint - view.point_at(0.0)) / view.range;
+                    let is_met = along < view.range - 0.5 && view.point_at(along).distance(*end) < 0.01;
+                    is_met.then_some(along as f32)
+                })
+            };
+            let read = |(i, z): (usize, &f32)| at_end(i).filter(|_| at_ends).unwrap_or(*z);
+            let readings: Vec<f32> = recorded.readings.iter().enumerate().map(read).collect();
+            let ends = (0..readings.len()).filter(|&i| at_ends && at_end(i).is_some()).count();
+            assert_eq!(ends > 10, at_ends, "{ends}");
+            let recorded = recorded.with(readings, recorded.odometry.clone());
+            let comparison = comparison.of(&recorded);
+            let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+            end_on_surfaces(&comparison, &fitted, &[]).unwrap()
+        };
+        assert!(ends_on_surfaces(&[], true));
+        assert!(!ends_on_surfaces(&[random], false));
+        assert!(!ends_on_surfaces(&[], false));
     }
 }

@@ -94,8 +94,12 @@ pub fn is_sure(candidate: &Candidate) -> bool {
 
 /// The candidate that is named, by index: of those that surely gain the one that gains most. One with fewer parameters is
 /// preferred where it can't be told from that one, or is behind by what more parameters gain by chance.
+///
+/// Where most readings are off by the same cause, what replaces or spreads readings explains a part of each: it comes after the cause.
 pub fn choose(candidates: &[Candidate]) -> Option<usize> {
-    choose_among(candidates, is_sure)
+    let has_cause = candidates.iter().any(|candidate| candidate.moves_most && is_sure(candidate));
+    let comes_after = |candidate: &Candidate| has_cause && candidate.kind().moves() == Moves::Distribution;
+    choose_among(candidates, |candidate| is_sure(candidate) && !comes_after(candidate))
 }
 
 /// The same of the candidates of other data than most readings: those in the odometry, or in lost returns. They need statistics of their own
@@ -242,6 +246,7 @@ mod tests {
                 gains,
                 intervals: Vec::new(),
                 is_beyond_chance: true,
+                moves_most: false,
                 score: None,
             })
         };
@@ -261,6 +266,7 @@ mod tests {
             gains,
             intervals: Vec::new(),
             is_beyond_chance: true,
+            moves_most: false,
             score: None,
         };
         let bias = candidate(EffectKind::RangeBias, &[0.02], vec![100.0; 4]);
@@ -276,6 +282,30 @@ mod tests {
         assert_eq!(named([8.0, 7.0, 9.0, 8.0]), EffectKind::WarmupDrift);
     }
 
+    /// Random readings explain a part of anything. Where most readings are off by one cause, it comes first, if it surely gains.
+    #[test]
+    fn what_moves_most_readings_comes_before_what_replaces_them() {
+        let candidate = |kind, gain: f64, moves_most| Candidate {
+            effect: Effect::typical(kind, Vec::new()),
+            fitted_gains: vec![gain; 4],
+            gains: vec![gain; 4],
+            intervals: Vec::new(),
+            is_beyond_chance: true,
+            moves_most,
+            score: None,
+        };
+        let named = |late: f64, moves_most| {
+            let candidates = [
+                candidate(EffectKind::Crosstalk, 9000.0, false),
+                candidate(EffectKind::TimeOffset, late, moves_most),
+            ];
+            candidates[choose(&candidates).unwrap()].kind()
+        };
+        assert_eq!(named(4000.0, true), EffectKind::TimeOffset);
+        assert_eq!(named(4000.0, false), EffectKind::Crosstalk);
+        assert_eq!(named(-1.0, true), EffectKind::Crosstalk);
+    }
+
     /// A loss of returns is named beside a bias that was refused. The bias is no rival of it; a loss that gains nearly as much is.
     #[test]
     fn what_was_refused_is_no_rival_of_lost_returns() {
@@ -285,6 +315,7 @@ mod tests {
             gains: gains.to_vec(),
             intervals: vec![locsim_core::Interval { lo: 0.0, hi: 1.0 }; 3],
             is_beyond_chance: true,
+            moves_most: false,
             score: None,
         };
         let candidates = [
@@ -313,6 +344,7 @@ mod tests {
             fitted_gains: vec![30.0, 50.0],
             intervals: vec![locsim_core::Interval { lo: 0.0, hi: 1.0 }; 3],
             is_beyond_chance: true,
+            moves_most: false,
             score: Some(4.0),
         };
         candidate.limit(16.0);
@@ -333,6 +365,7 @@ mod tests {
             gains,
             intervals: Vec::new(),
             is_beyond_chance,
+            moves_most: false,
             score: None,
         };
         assert!((Estimate::of_sum(&[3.0, 0.0, 0.0, 3.0]).value - 6.0).abs() < 1e-12);
@@ -354,6 +387,7 @@ mod tests {
             fitted_gains: vec![gain / 10.0; 10],
             intervals: Vec::new(),
             is_beyond_chance: true,
+            moves_most: false,
             score: None,
         };
         let scale = candidate(EffectKind::OdomDistanceScale, vec![0.04], 20.0);
@@ -374,6 +408,7 @@ mod tests {
             fitted_gains: vec![9.0, 10.0, 11.0],
             intervals: Vec::new(),
             is_beyond_chance: true,
+            moves_most: false,
             score: None,
         };
         let [bias, scale, odometry] =
@@ -393,6 +428,7 @@ mod tests {
             fitted_gains: Vec::new(),
             intervals: Vec::new(),
             is_beyond_chance: true,
+            moves_most: false,
             score: None,
         };
         let drift = of(EffectKind::WarmupDrift, vec![0.03, 90.0]);
@@ -437,6 +473,7 @@ mod tests {
                 fitted_gains: gains.to_vec(),
                 intervals: Vec::new(),
                 is_beyond_chance: true,
+                moves_most: false,
                 score: None,
             })
         };

@@ -496,6 +496,7 @@ mod tests {
                 fitted_gains: vec![9.0],
                 intervals: Vec::new(),
                 is_beyond_chance: true,
+                moves_most: false,
                 score: None,
             };
             name(&[candidate], 0, 0.01, 100)
@@ -516,6 +517,7 @@ mod tests {
             fitted_gains: vec![0.1 * gain; 10],
             intervals: Vec::new(),
             is_beyond_chance: true,
+            moves_most: false,
             score: None,
         };
         let losses = name(&[candidate(EffectKind::IncidenceDropout, 1000.0)], 0, 0.01, 100);

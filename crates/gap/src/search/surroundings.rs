@@ -175,6 +175,7 @@ mod tests {
                 fitted_gains: vec![0.1 * gain; 10],
                 intervals: Vec::new(),
                 is_beyond_chance: true,
+                moves_most: false,
                 score: None,
             };
             assert_eq!(drop_surroundings(&round, vec![candidate]).unwrap().len(), usize::from(is_kept));
@@ -216,6 +217,7 @@ mod tests {
                 fitted_gains: vec![1.0; 10],
                 intervals: Vec::new(),
                 is_beyond_chance: true,
+                moves_most: false,
                 score: None,
             };
             !drop_of_one_place(&round, vec![candidate]).unwrap().is_empty()

@@ -1,8 +1,8 @@
 //! Scores of effects that act on all beams, each beam with a weight of its own.
 
-use locsim_comparison::{normal_density, shown_by, values_along};
+use locsim_comparison::{Comparison, normal_density, shown_by, surface_ranges, values_along};
 use locsim_core::median;
-use locsim_world::effect::{self, Direction, EffectKind, Score, TAIL_FACTOR};
+use locsim_world::effect::{self, Direction, Effect, EffectKind, Moves, Score, TAIL_FACTOR};
 
 use super::readings::Reading;
 use super::survey::Survey;
@@ -74,8 +74,9 @@ impl Scores {
         }
         let moved = self.directions.iter().flat_map(|weights| {
             let turned = if self.is_turn { turned(log) } else { None };
-            let both = [moved(log, &weights.of_beams), turned].into_iter().flatten();
-            both.map(|moved| (weights.direction, moved))
+            let cast = if self.kind.moves() == Moves::Scans { cast(log, self.kind, strength) } else { None };
+            let all = [moved(log, &weights.of_beams), turned, cast].into_iter().flatten();
+            all.map(|moved| (weights.direction, moved))
         });
         let (direction, [value, left]) = moved.min_by(|a, b| a.1[1].total_cmp(&b.1[1]))?;
         (left < LEFT).then_some((strength, direction, value))
@@ -131,9 +132,13 @@ const MEDIAN_NOISE: f64 = 0.67;
 const LEAST_SIGMA_M: f64 = 1e-3;
 /// Errors count up to this many standard deviations.
 const CUT: f64 = 100.0;
+/// Most readings are far off if this many standard deviations are their median.
+const FAR: f64 = 3.0;
+/// Steps between the least and the largest strength.
+const CASTS: u32 = 20;
 
-/// The strength by which most returns are moved (least absolute deviations), and the share of their errors that it leaves: of the median
-/// or, where there is little clutter, of the mean. A score doesn't see readings that are moved by many standard deviations.
+/// The strength by which most returns are moved (least absolute deviations), and the share of their errors that it leaves. A score doesn't see
+/// readings that are moved by many standard deviations.
 fn moved(log: &Readings<'_>, of_beams: &[f32]) -> Option<[f64; 2]> {
     let returns =
         log.scans().flatten().filter(|reading| reading.is_return && reading.terms.sigma.is_finite());
@@ -151,16 +156,57 @@ fn moved(log: &Readings<'_>, of_beams: &[f32]) -> Option<[f64; 2]> {
         sum += weight;
         sum >= half
     })?;
-    let errors = |strength: f64| {
-        let errors = returns.iter().map(|[error, weight]| (error - strength * weight).abs().min(CUT));
-        let mut errors: Vec<f64> = errors.collect();
-        [errors.iter().sum::<f64>(), median(&mut errors)]
+    let errors = |strength: f64| Errors::of(returns.iter().map(|[error, weight]| error - strength * weight));
+    Some([strength, errors(strength).left_of(&errors(0.0))])
+}
+
+/// Errors of readings, in standard deviations of their noise.
+struct Errors {
+    count: usize,
+    /// The sum of their absolute values, each up to [`CUT`].
+    sum: f64,
+    median: f64,
+}
+
+impl Errors {
+    fn of(errors: impl Iterator<Item = f64>) -> Self {
+        let mut errors: Vec<f64> = errors.map(|error| error.abs().min(CUT)).collect();
+        Self { count: errors.len(), sum: errors.iter().sum(), median: median(&mut errors) }
+    }
+
+    /// What share of others they are: by the median or, where there is little clutter, by the mean. Below the noise nothing is told.
+    fn left_of(&self, others: &Self) -> f64 {
+        let ratio = |with: f64, without: f64, noise: f64| with.max(noise) / without.max(noise);
+        let of_sums = ratio(self.sum, others.sum, MEAN_NOISE * self.count as f64);
+        of_sums.min(ratio(self.median, others.median, MEDIAN_NOISE))
+    }
+}
+
+/// The strength, of some over all that it may have, at which returns are nearest to where beams end that are cast anew, and the share of their
+/// errors that it leaves. Scans that are moved far move their readings in no proportion.
+fn cast(log: &Readings<'_>, kind: EffectKind, strength: usize) -> Option<[f64; 2]> {
+    let returns = || log.scans().flatten().filter(|r| r.is_return && r.terms.sigma.is_finite());
+    let without = Errors::of(returns().map(|reading| reading.terms.error / reading.terms.sigma));
+    if without.median < FAR {
+        return None;
+    }
+    let parameter = &kind.parameters()[strength];
+    let Comparison { nominal, recorded, .. } = log.comparison;
+    let left = |value: f64| {
+        let mut effect = Effect::neutral(kind, Vec::new());
+        effect.values[strength] = value;
+        let effects = log.effects.replaced([log.effects.list(), &[effect]].concat()).ok()?;
+        let ranges = surface_ranges(nominal, recorded, &effects);
+        let moved = |reading: &Reading<'_>| {
+            let max = log.max_range();
+            ranges[reading.index].min(max) - reading.beam.range().min(max)
+        };
+        let errors = returns().map(|reading| (reading.terms.error - moved(reading)) / reading.terms.sigma);
+        Some([value, Errors::of(errors).left_of(&without)])
     };
-    let (with, without) = (errors(strength), errors(0.0));
-    // Below the noise nothing is told.
-    let left = |i: usize, noise: f64| with[i].max(noise) / without[i].max(noise);
-    let left = left(0, MEAN_NOISE * returns.len() as f64).min(left(1, MEDIAN_NOISE));
-    Some([strength, left])
+    let step = (parameter.hi - parameter.lo) / f64::from(CASTS);
+    let values = (0..=CASTS).map(|i| parameter.lo + f64::from(i) * step);
+    values.filter_map(left).min_by(|a, b| a[1].total_cmp(&b[1]))
 }
 
 /// The turn of the laser, by whole beams \[rad\], with which returns are nearest to the nominal ranges of the scan's other beams, and what it
@@ -239,9 +285,9 @@ impl Family for Scores {
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::Nuisances;
     use locsim_comparison::fixtures::{NOMINAL, SIGMA_M, TRUTH};
     use locsim_comparison::hidden::{Regime, record_library};
-    use locsim_comparison::{Comparison, Nuisances};
 
     use super::*;
     use crate::Recorded;
@@ -274,5 +320,27 @@ mod tests {
         let few = score(&|i, error| if i % 480 == 7 { 4.5 * SIGMA_M } else { error });
         let noisier = score(&|_, error| 1.015 * error);
         assert!(few > as_it_is && noisier > few, "{as_it_is} {few} {noisier}");
+    }
+
+    /// Stamps that are late by more than a third of a second are far from moving readings in proportion: beams are cast anew. Where nothing is off
+    /// no effect moves most readings.
+    #[test]
+    fn stamps_that_are_late_by_far_are_found() {
+        let most = |delay_secs: f64| {
+            let late = Effect::new(EffectKind::TimeOffset, vec![delay_secs], Vec::new()).unwrap();
+            let drive = record_library(&NOMINAL, &TRUTH, &[late], Regime::default(), 3).unwrap();
+            let recorded = Recorded::new(&drive, 150, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            let fitted = comparison.start(&Nuisances::default());
+            let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
+            let scores = Scores::all(&Survey::new(&comparison));
+            let own = scores.iter().find(|scores| scores.kind == EffectKind::TimeOffset).unwrap();
+            own.moves_most(&log).map(|(_, start)| start.values[0])
+        };
+        for delay_secs in [-0.4, 0.8] {
+            let found = most(delay_secs).unwrap();
+            assert!((found - delay_secs).abs() < 0.06, "{found} of {delay_secs}");
+        }
+        assert_eq!(most(0.0), None);
     }
 }

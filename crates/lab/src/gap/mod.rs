@@ -35,7 +35,7 @@ pub use filter::FilterOnLog;
 pub use proposal::{scenario_after, scenario_since};
 
 use laser::{are_apart, logged_mount, mount_in_words, with_beams, with_mount};
-use open::Clutter;
+use open::{Clutter, Way};
 
 use crate::LabError;
 use crate::inspect::{doubts, frozen_odometry};
@@ -239,7 +239,12 @@ impl GapStudy {
             let effects = simulator.effects().map_err(GapError::from)?;
             let empty =
                 Simulator::new(Arc::clone(&map), None, simulator.laser, effects).map_err(GapError::from)?;
-            let clutter = Clutter::of(&steps, &drive.laser, &empty, simulator.blocks.as_ref(), seed);
+            let track = drive.reference().ok();
+            let first = drive.steps.iter().find(|step| step.reference.is_some());
+            let way = track.as_ref().zip(first);
+            let way = way.map(|(track, first)| Way { first_secs: first.stamp_secs, track });
+            let clutter =
+                Clutter::of(&steps, way.as_ref(), &drive.laser, &empty, simulator.blocks.as_ref(), seed);
             let clutter = clutter.map_err(GapError::from)?;
             warnings.extend(clutter.warning);
             (added_blocks, in_the_open) = (clutter.blocks, clutter.things);

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 
 use glam::DVec2;
 use locsim_core::{
-    DistanceMap, DriveStep, Hits, Laser, NO_SURFACE, Particles, Pose2, RangeMap, Scan, cell_at, median,
-    quantile,
+    DistanceMap, DriveStep, Hits, Laser, NO_SURFACE, Particles, Pose2, RangeMap, Scan, Track, cell_at,
+    median, quantile,
 };
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap};
 use locsim_world::simulation::{BlockModel, BlockOptions, BlockResampling, SimulationError, Simulator};
@@ -43,6 +43,11 @@ const AT_WALLS_M: f64 = 1.0;
 /// A beam that sees so much more than the median beam sees the robot itself, where most of these readings are alike to this \[m\].
 const OF_ROBOT_SHARE: f64 = 0.1;
 const OF_ROBOT_M: f64 = 0.1;
+/// How often the sizes of simulated things are made those of the log's, the factors that they may have, and the share of things that the width
+/// holds by which they are compared.
+const SIZINGS: u32 = 2;
+const SIZES: [f64; 2] = [0.2, 4.0];
+const MOST_WIDTHS: f64 = 0.9;
 /// Side of the cells, of which two by two are a place \[m\].
 const PLACE_M: f64 = 0.5;
 /// What has moved by this in such a place walks: a thing that stays is seen from elsewhere, by its own size at the most \[m\].
@@ -73,6 +78,8 @@ struct InOpen {
     most_m: f64,
     /// How far from walls blocks have to stand to be at all of these places \[m\].
     across_m: f64,
+    /// The width that most things show at the most, from the first to the last beam that sees them \[m\]; 0 where two beams never see one.
+    width_m: f64,
     /// How far from walls the scenario's blocks reach \[m\]; `None` where it has none.
     reach_m: Option<f64>,
     /// Whether there are enough to be told.
@@ -120,7 +127,7 @@ impl InOpen {
     }
 
     /// Blocks for a scenario that has none. How many there are is fitted to the log, as is how long they stay.
-    pub fn blocks(&self) -> Option<BlockOptions> {
+    fn blocks(&self) -> Option<BlockOptions> {
         let blocks = BlockOptions {
             per_metre_of_wall: 0.1,
             length_m: [0.1, 0.6],
@@ -135,18 +142,43 @@ impl InOpen {
         (self.reach_m.is_none() && self.is_told && !self.is_one_thing).then_some(blocks)
     }
 
+    /// Blocks that show as wide as what the log has does, wherever they stand.
+    ///
+    /// # Errors
+    /// As the simulator's.
+    fn as_wide(
+        &self,
+        blocks: BlockOptions,
+        along: &Along<'_>,
+        known: Option<&BlockOptions>,
+    ) -> Result<BlockOptions, SimulationError> {
+        let anywhere = BlockOptions { wall_distance_m: [0.0, self.across_m], ..blocks };
+        let mut times = 1.0_f64;
+        // To the centimetre.
+        let sized = |of: BlockOptions, times: f64| {
+            let sizes = |sizes: [f64; 2]| sizes.map(|size| (100.0 * times * size).round().max(1.0) / 100.0);
+            BlockOptions { length_m: sizes(of.length_m), width_m: sizes(of.width_m), ..of }
+        };
+        for _ in 0..SIZINGS {
+            let Some(shown) = along.seen(sized(anywhere, times), known)? else { break };
+            if shown.width_m == 0.0 || self.width_m == 0.0 {
+                break;
+            }
+            times = (times * self.width_m / shown.width_m).clamp(SIZES[0], SIZES[1]);
+        }
+        Ok(sized(blocks, times))
+    }
+
     /// People and things in the open beside a scenario's blocks, as many as the log has: the share of such readings in scans of a simulator without
     /// blocks along the same poses says how many these are. They are at walls as well, or keep so far from them that they alone don't make more readings
     /// there than the log has; where they do all the same, they are fewer.
     ///
     /// # Errors
     /// As the simulator's.
-    pub fn things(
+    fn things(
         &self,
-        steps: &[&DriveStep],
-        empty: &Simulator,
+        along: &Along<'_>,
         blocks: Option<&BlockOptions>,
-        seed: u64,
     ) -> Result<Option<BlockOptions>, SimulationError> {
         let Some(blocks) = blocks.filter(|_| !self.is_one_thing) else {
             return Ok(None);
@@ -162,27 +194,12 @@ impl InOpen {
             speed_m_s: [0.0, 0.0],
             clearance_m: blocks.clearance_m,
         };
-        let known: Vec<(f64, Pose2)> =
-            steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))).collect();
-        // Time counts from the first scan.
-        let start = known.first().map_or(0.0, |(secs, _)| *secs);
-        let secs: Vec<f64> = known.iter().map(|(secs, _)| secs - start).collect();
-        let laser = empty.laser().laser();
-        let seen = |tried: BlockOptions| -> Result<Option<Self>, SimulationError> {
-            let readings = empty.clone().with_more_blocks(tried)?.scan_along(&secs, |i, _| known[i].1, seed);
-            let simulated =
-                known.iter().zip(readings.chunks(laser.beam_count())).map(|((secs, pose), ranges)| {
-                    let scan = Scan { ranges: ranges.to_vec() };
-                    DriveStep { stamp_secs: *secs, odometry: *pose, reference: Some(*pose), scan }
-                });
-            let simulated: Vec<DriveStep> = simulated.collect();
-            Ok(in_open(&simulated.iter().collect::<Vec<_>>(), laser, empty.map(), Some(blocks)))
-        };
+        let anywhere = self.as_wide(anywhere, along, Some(blocks))?;
         let mut things = None;
         for share in FROM_WALLS {
             let from_m = share * blocks.reach_m().min(self.across_m);
             let tried = BlockOptions { wall_distance_m: [from_m, self.across_m], ..anywhere };
-            let Some(found) = seen(tried)? else { break };
+            let Some(found) = along.seen(tried, Some(blocks))? else { break };
             let in_reach = self.share_in_reach / found.share_in_reach.max(f64::MIN_POSITIVE);
             let times = (self.share / found.share).min(in_reach);
             things = Some(BlockOptions {
@@ -196,6 +213,45 @@ impl InOpen {
             }
         }
         Ok(things)
+    }
+}
+
+/// A log's poses, along which scans are simulated.
+struct Along<'a> {
+    /// A simulator without blocks.
+    empty: &'a Simulator,
+    /// Seconds from the first scan on.
+    secs: Vec<f64>,
+    poses: Vec<Pose2>,
+    seed: u64,
+}
+
+impl<'a> Along<'a> {
+    fn new(steps: &[&DriveStep], empty: &'a Simulator, seed: u64) -> Self {
+        let known: Vec<(f64, Pose2)> =
+            steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))).collect();
+        let start = known.first().map_or(0.0, |(secs, _)| *secs);
+        let (secs, poses) = known.into_iter().map(|(secs, pose)| (secs - start, pose)).unzip();
+        Self { empty, secs, poses, seed }
+    }
+
+    /// What is in front of walls of `tried` alone, where none of the blocks `known` can be.
+    fn seen(
+        &self,
+        tried: BlockOptions,
+        known: Option<&BlockOptions>,
+    ) -> Result<Option<InOpen>, SimulationError> {
+        let Self { empty, secs, poses, seed } = self;
+        let laser = empty.laser().laser();
+        let simulator = Simulator::clone(empty).with_more_blocks(tried)?;
+        let readings = simulator.scan_along(secs, |i, _| poses[i], *seed);
+        let scans = secs.iter().zip(poses).zip(readings.chunks(laser.beam_count()));
+        let steps = scans.map(|((secs, pose), ranges)| {
+            let scan = Scan { ranges: ranges.to_vec() };
+            DriveStep { stamp_secs: *secs, odometry: *pose, reference: Some(*pose), scan }
+        });
+        let steps: Vec<DriveStep> = steps.collect();
+        Ok(in_open(&steps.iter().collect::<Vec<_>>(), laser, empty.map(), known, None))
     }
 }
 
@@ -223,34 +279,77 @@ pub(super) struct Clutter {
 }
 
 impl Clutter {
-    /// By scans whose reference poses are known, and a simulator without blocks.
+    /// By scans whose reference poses are known, of a robot on its way, and a simulator without blocks.
     ///
     /// # Errors
     /// As the simulator's.
     pub fn of(
         steps: &[&DriveStep],
+        way: Option<&Way<'_>>,
         laser: &Laser,
         empty: &Simulator,
         of_scenario: Option<&BlockOptions>,
         seed: u64,
     ) -> Result<Self, SimulationError> {
-        let found_with = |blocks: Option<&BlockOptions>| in_open(steps, laser, empty.map(), blocks);
+        let found_with = |blocks: Option<&BlockOptions>| in_open(steps, laser, empty.map(), blocks, way);
+        let along = Along::new(steps, empty, seed);
         let found = found_with(of_scenario);
         let warning = found.as_ref().and_then(InOpen::warning);
-        let blocks = found.as_ref().and_then(InOpen::blocks);
+        let added = found.as_ref().and_then(|found| Some((found, found.blocks()?)));
+        let blocks = added.map(|(found, blocks)| found.as_wide(blocks, &along, None)).transpose()?;
         let found = if blocks.is_some() { found_with(blocks.as_ref()) } else { found };
         let known = of_scenario.or(blocks.as_ref());
-        let things = found.map(|found| found.things(steps, empty, known, seed)).transpose()?.flatten();
+        let things = found.map(|found| found.things(&along, known)).transpose()?.flatten();
         Ok(Self { warning, blocks, things })
     }
 }
 
-/// Readings in the open, from scans whose reference poses are known; `None` where there are few.
+/// The poses of a drive, at stamps from the first one on.
+pub(super) struct Way<'a> {
+    pub first_secs: f64,
+    pub track: &'a Track,
+}
+
+impl Way<'_> {
+    fn pose_at(&self, stamp_secs: f64) -> Pose2 {
+        self.track.pose_at(stamp_secs - self.first_secs)
+    }
+}
+
+/// Casts each beam of a scan from its own pose.
+fn cast(map: &ExactRangeMap, laser: &Laser, poses: &[Pose2], hits: &mut Hits) {
+    let (bearings, reach) = (laser.bearings(), laser.cast_range());
+    let is_at_rest = poses.windows(2).all(|pair| pair[0] == pair[1]);
+    if is_at_rest {
+        let pose: Particles = poses.iter().take(1).copied().collect();
+        map.cast(pose.as_poses(), bearings, reach, hits);
+        return;
+    }
+    let mut one = Hits::default();
+    hits.resize(poses.len());
+    for (i, pose) in poses.iter().enumerate() {
+        let pose: Particles = std::iter::once(*pose).collect();
+        map.cast(pose.as_poses(), &bearings[i..=i], reach, &mut one);
+        (hits.range[i], hits.surface[i]) = (one.range[0], one.surface[0]);
+    }
+}
+
+/// Where the robot is at each beam of a scan: on its way, or at rest where that isn't given.
+fn beam_poses(step: &DriveStep, reference: Pose2, laser: &Laser, way: Option<&Way<'_>>) -> Vec<Pose2> {
+    let at = |secs: &f32| match way {
+        Some(way) if *secs != 0.0 => way.pose_at(step.stamp_secs + f64::from(*secs)),
+        _ => reference,
+    };
+    laser.beam_times_secs().iter().map(at).map(|pose| pose.compose(&laser.base_from_laser())).collect()
+}
+
+/// Readings in the open, from scans whose reference poses are known, by a robot on its way; `None` where there are few.
 fn in_open(
     steps: &[&DriveStep],
     laser: &Laser,
     map: &ExactRangeMap,
     blocks: Option<&BlockOptions>,
+    way: Option<&Way<'_>>,
 ) -> Option<InOpen> {
     let [x0, y0, x1, y1] = map.geometry().bounds();
     let area = (x1 - x0 + 2.0 * FARTHEST_M) * (y1 - y0 + 2.0 * FARTHEST_M);
@@ -267,11 +366,11 @@ fn in_open(
     let (mut returns, mut open) = (vec![0_usize; beams], vec![Vec::new(); beams]);
     let mut hits = Hits::default();
     let mut at_walls = 0_usize;
+    let mut widths = Vec::new();
     for (scan, step) in steps.iter().enumerate() {
         let Some(reference) = step.reference else { continue };
-        let pose = reference.compose(&laser.base_from_laser());
-        let poses: Particles = std::iter::once(pose).collect();
-        map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
+        let poses = beam_poses(step, reference, laser, way);
+        cast(map, laser, &poses, &mut hits);
         let ranges = &step.scan.ranges;
         let in_front = |beam: usize| -> Option<(Open, bool)> {
             if ranges[beam] >= laser.max_range() {
@@ -287,6 +386,7 @@ fn in_open(
             if !is_in_front || !is_known {
                 return None;
             }
+            let pose = poses[beam];
             let (sin, cos) = (pose.theta + f64::from(laser.bearings()[beam])).sin_cos();
             let end = pose.position() + range * DVec2::new(cos, sin);
             let distance = f64::from(distances.distance(end.x, end.y));
@@ -302,6 +402,7 @@ fn in_open(
             .into_iter()
             .map(|of| of.and_then(|(reading, is_in_open)| is_in_open.then_some(reading)))
             .collect();
+        widths.extend(widths_of(&found));
         for beam in 0..beams {
             returns[beam] += usize::from(ranges[beam] < laser.max_range());
             let sees_it_too = |other: Option<usize>| {
@@ -338,10 +439,21 @@ fn in_open(
         share_in_reach,
         most_m: quantile(&mut farthest, MOST),
         across_m,
+        width_m: if widths.is_empty() { 0.0 } else { quantile(&mut widths, MOST_WIDTHS) },
         reach_m: blocks.map(BlockOptions::reach_m),
         is_told,
         is_one_thing,
     })
+}
+
+/// The widths that a scan's things show \[m\]: neighbouring beams that end at about the same range see one thing.
+fn widths_of(scan: &[Option<Open>]) -> Vec<f64> {
+    let of_one = |a: &Option<Open>, b: &Option<Open>| {
+        a.zip(*b).is_some_and(|(a, b)| (a.range - b.range).abs() < ONE_THING_M)
+    };
+    let things = scan.chunk_by(of_one).filter(|thing| thing.len() > 1);
+    let ends = things.filter_map(|thing| Some((thing.first()?.as_ref()?, thing.last()?.as_ref()?)));
+    ends.map(|(first, last)| first.end.distance(last.end)).collect()
 }
 
 /// Whether most readings are of one thing that stays where it is. Somebody who walks by is in one place, too.
@@ -447,7 +559,7 @@ mod tests {
             DriveStep { stamp_secs: i as f64, odometry: pose, reference: Some(pose), scan: Scan { ranges } }
         };
         let steps: Vec<DriveStep> = (0..100).map(step).collect();
-        in_open(&looked_at(steps.iter()), &laser, &map, blocks)
+        in_open(&looked_at(steps.iter()), &laser, &map, blocks, None)
     }
 
     /// A hall of 12 m, and 200 scans of a simulator amid it.
@@ -482,13 +594,20 @@ mod tests {
 
         fn in_open(&self, steps: &[DriveStep]) -> InOpen {
             let empty = self.simulator(None);
-            in_open(&steps.iter().collect::<Vec<_>>(), empty.laser().laser(), &self.map, Some(&self.walls))
-                .unwrap()
+            in_open(
+                &steps.iter().collect::<Vec<_>>(),
+                empty.laser().laser(),
+                &self.map,
+                Some(&self.walls),
+                None,
+            )
+            .unwrap()
         }
 
         fn things(&self, found: &InOpen, steps: &[DriveStep]) -> Option<BlockOptions> {
             let steps: Vec<&DriveStep> = steps.iter().collect();
-            found.things(&steps, &self.simulator(None), Some(&self.walls), 7).unwrap()
+            let empty = self.simulator(None);
+            found.things(&Along::new(&steps, &empty, 7), Some(&self.walls)).unwrap()
         }
     }
 
@@ -516,6 +635,66 @@ mod tests {
         assert!(hall.things(&one_thing, &steps).is_none());
     }
 
+    /// Legs of 12 cm, and trolleys of about a metre: simulated things show as wide, which nobody has told.
+    #[test]
+    fn simulated_things_are_as_wide_as_those_of_a_log() {
+        let hall = Hall::new(blocks(0.2));
+        let seen = |things: BlockOptions, seed: u64| {
+            Hall::scans(&hall.simulator(None).with_more_blocks(things).unwrap(), seed)
+        };
+        for (sizes, most) in [([0.11, 0.13], [0.0, 0.25]), ([0.9, 1.1], [0.7, 2.0])] {
+            let truth = BlockOptions {
+                per_metre_of_wall: 0.04,
+                length_m: sizes,
+                width_m: sizes,
+                wall_distance_m: [1.0, 3.5],
+                ..hall.walls
+            };
+            let steps = seen(truth, 3);
+            let found = hall.in_open(&steps);
+            let things = hall.things(&found, &steps).unwrap();
+            let again = hall.in_open(&seen(anew(things), 5));
+            let ratio = again.width_m / found.width_m;
+            assert!((0.75..1.35).contains(&ratio), "{sizes:?}: {} {}", found.width_m, again.width_m);
+            let size = things.length_m[1];
+            assert!(most[0] < size && size < most[1], "{sizes:?}: {size}");
+        }
+    }
+
+    /// A robot that turns through 0.2 s of each sweep, amid a hall with pillars and nothing else: what its beams meet at their own times is the map.
+    #[test]
+    fn beams_of_a_sweep_start_where_the_robot_is_by_then() {
+        let square = |x: f64, y: f64| Polyline {
+            points_m: vec![[x, y], [x + 0.5, y], [x + 0.5, y + 0.5], [x, y + 0.5]],
+            ..Polyline::default()
+        };
+        let corners = [[-6.0, -6.0], [6.0, -6.0], [6.0, 6.0], [-6.0, 6.0]];
+        let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
+        let obstacles = vec![square(2.0, 1.0), square(-3.0, 2.0), square(0.0, -3.0), square(-2.0, -2.0)];
+        let map = VectorMap { outline, obstacles, walls: Vec::new() };
+        let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
+        let laser = LaserOptions { rate_hz: 5.0, scan_secs: 0.2, ..LASER };
+        let simulator = Simulator::new(Arc::clone(&map), None, laser, Effects::none()).unwrap();
+        let secs: Vec<f64> = (0..100).map(|i| 0.2 * f64::from(i)).collect();
+        let pose_at = |secs: f64| Pose2::new(0.1 * secs, 0.0, 0.8 * secs);
+        let readings = simulator.scan_along(&secs, |_, secs| pose_at(secs), 3);
+        let step = |(secs, ranges): (&f64, &[f32])| DriveStep {
+            // Since 1970.
+            stamp_secs: 1.7e9 + *secs,
+            odometry: pose_at(*secs),
+            reference: Some(pose_at(*secs)),
+            scan: Scan { ranges: ranges.to_vec() },
+        };
+        let steps: Vec<DriveStep> =
+            secs.iter().zip(readings.chunks(LASER.beams as usize)).map(step).collect();
+        let track = Track::new(steps.iter().map(|step| (step.stamp_secs, step.odometry))).unwrap();
+        let way = Way { first_secs: 1.7e9, track: &track };
+        let steps: Vec<&DriveStep> = steps.iter().collect();
+        let found = |way: Option<&Way<'_>>| in_open(&steps, simulator.laser().laser(), &map, None, way);
+        assert!(found(Some(&way)).is_none());
+        assert!(found(None).is_some_and(|found| found.is_told));
+    }
+
     /// Of a scenario without blocks, what stands at walls are blocks, and what stands three to four metres from them is in the open.
     #[test]
     fn a_scenario_without_blocks_gets_some_and_things_in_the_open() {
@@ -527,7 +706,7 @@ mod tests {
         let of = |simulator: &Simulator, of_scenario: Option<&BlockOptions>| {
             let steps = Hall::scans(simulator, 3);
             let steps: Vec<&DriveStep> = steps.iter().collect();
-            Clutter::of(&steps, empty.laser().laser(), &empty, of_scenario, 7).unwrap()
+            Clutter::of(&steps, None, empty.laser().laser(), &empty, of_scenario, 7).unwrap()
         };
         let without = of(&everywhere, None);
         assert_eq!(without.blocks.unwrap().wall_distance_m, [0.0, AT_WALLS_M]);

@@ -68,7 +68,9 @@ fn block_entry(study: &GapStudy, blocks: &BlockOptions) -> Entry {
     let log = quoted(&study.log.file_name().unwrap_or_default().to_string_lossy());
     let range = |key: &str, [from, to]: [f64; 2]| format!("{key}: [{from}, {to}]");
     Entry {
-        comments: vec![format!("As many as {log} has, found by `locsim gap`; sizes are a guess.")],
+        comments: vec![format!(
+            "As many as {log} has, found by `locsim gap`, and about as large as they look there."
+        )],
         lines: vec![
             format!("per_metre_of_wall: {}", significant(blocks.per_metre_of_wall)),
             range("length_m", blocks.length_m),
