@@ -117,8 +117,12 @@ impl Manifest {
         Ok(foreign.map_or(State::Results(manifest), State::Foreign))
     }
 
-    /// Whether a file is listed, and as it was written. One that was being written has no hash yet.
+    /// Whether a file is listed, and as it was written. One that was being written has no hash yet. A folder, whose name ends in `/`, is
+    /// ours where a listed file belongs in it.
     fn is_ours(&self, path: &Path, name: &str) -> Result<bool, StoreError> {
+        if name.ends_with('/') {
+            return Ok(self.files.keys().any(|file| file.starts_with(name)));
+        }
         if name == MANIFEST || is_temporary(path.file_name().unwrap_or_default()) {
             return Ok(true);
         }
@@ -144,8 +148,8 @@ pub(super) fn is_temporary(name: &OsStr) -> bool {
     name.to_str().is_some_and(|name| name.starts_with(begin) && name.ends_with(end))
 }
 
-/// The first file under a folder, in the order of names, that `is_wanted` by its path and its name in the folder. What is
-/// neither file nor folder, lies too deep, or has a name that isn't text is wanted always.
+/// The first file or folder under a folder, in the order of names and what is in a folder before it, that `is_wanted` by its path and its
+/// name in the folder; names of folders end in `/`. What is neither file nor folder, lies too deep, or has a name that isn't text is wanted always.
 fn files(
     folder: &Path,
     is_wanted: &mut dyn FnMut(&Path, &str) -> Result<bool, StoreError>,
@@ -166,7 +170,11 @@ fn files(
             let found = match name {
                 Some(name) if kind.is_file() => is_wanted(&path, &name)?.then(|| path.clone()),
                 Some(name) if kind.is_dir() && depth < DEEPEST => {
-                    visit(&path, &format!("{name}/"), depth + 1, is_wanted)?
+                    let name = format!("{name}/");
+                    match visit(&path, &name, depth + 1, is_wanted)? {
+                        None => is_wanted(&path, &name)?.then(|| path.clone()),
+                        found => found,
+                    }
                 }
                 _ => Some(path.clone()),
             };
@@ -187,25 +195,15 @@ pub(super) fn remove(folder: &Path) -> Result<(), StoreError> {
         State::Empty | State::Results(_) => {}
     }
     files(folder, &mut |path, name| {
-        if name != MANIFEST {
+        if name.ends_with('/') {
+            fs::remove_dir(path).map_err(at(path))?;
+        } else if name != MANIFEST {
             remove_file(path)?;
         }
         Ok(false)
     })?;
-    remove_empty_folders(folder)?;
     remove_file(&folder.join(MANIFEST))?;
     fs::remove_dir(folder).map_err(at(folder))
-}
-
-fn remove_empty_folders(folder: &Path) -> Result<(), StoreError> {
-    for entry in fs::read_dir(folder).map_err(at(folder))? {
-        let path = entry.map_err(at(folder))?.path();
-        if path.is_dir() && !path.is_symlink() {
-            remove_empty_folders(&path)?;
-            fs::remove_dir(&path).map_err(at(&path))?;
-        }
-    }
-    Ok(())
 }
 
 /// Removes what a kill left of files that were being written.
