@@ -5,8 +5,8 @@ use std::fs;
 use std::path::Path;
 
 use locsim_core::limits::{
-    COORDINATE, Limits, QUOTED_CHARACTERS, RANGE_M, READINGS_PER_SCAN, STAMP_SECS, THREADS_PER_CORE,
-    UNPACKING_FACTOR, YAML_DEPTH,
+    COORDINATE, LEAST_RANGE_M, Limits, MOST_SCANS, QUOTED_CHARACTERS, RANGE_M, READINGS_PER_SCAN, STAMP_SECS,
+    THREADS_PER_CORE, UNPACKING_FACTOR, YAML_DEPTH,
 };
 use locsim_world::map::{FARTHEST_M, FINEST_M};
 
@@ -34,6 +34,8 @@ fn the_document_names_every_limit_with_its_default() {
         ("COORDINATE", format!("{COORDINATE:e}")),
         ("RANGE_M", format!("{RANGE_M:e}")),
         ("STAMP_SECS", format!("{STAMP_SECS:e}")),
+        ("LEAST_RANGE_M", format!("{LEAST_RANGE_M:e}")),
+        ("MOST_SCANS", format!("{:e}", f64::from(MOST_SCANS))),
         ("FARTHEST_M", format!("{FARTHEST_M:e}")),
         ("FINEST_M", format!("{FINEST_M:e}")),
         ("THREADS_PER_CORE", THREADS_PER_CORE.to_string()),

@@ -15,6 +15,7 @@ mod edges;
 mod elementary;
 mod endpoint;
 mod folds;
+pub mod input;
 mod interval;
 mod lanes;
 mod likelihood;

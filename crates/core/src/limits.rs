@@ -3,6 +3,7 @@
 //! A reader asks for its limit with [`Limits::current`] before it allocates, and refuses larger inputs with
 //! [`Limits::refusal`], which names the option that raises the limit.
 
+use std::fmt::{Display, LowerExp};
 use std::str::FromStr;
 use std::sync::OnceLock;
 
@@ -23,6 +24,9 @@ pub const COORDINATE: f64 = 1e9;
 /// No laser reaches farther (m): tables over readings take memory for each millimetre.
 pub const RANGE_M: f64 = 1e4;
 
+/// The maximum range of a laser, at the least (m).
+pub const LEAST_RANGE_M: f64 = 1e-3;
+
 /// No time (s) that is read is larger: beyond it neighbouring times are too far apart.
 pub const STAMP_SECS: f64 = 1e12;
 
@@ -31,6 +35,9 @@ pub const MOST_PARTICLES: u32 = 10_000_000;
 
 /// The most trials of a run, and of each cell of a sweep.
 pub const MOST_TRIALS: u32 = 1_000_000;
+
+/// The most scans of a simulated drive.
+pub const MOST_SCANS: u32 = 1_000_000;
 
 /// The most repeats of a study.
 pub const MOST_REPEATS: u32 = 100_000;
@@ -185,21 +192,32 @@ pub fn is_hidden(character: char) -> bool {
         || matches!(character, '\u{feff}' | '\u{fffe}' | '\u{ffff}')
 }
 
-/// A value as an error quotes it: hidden characters escaped, cut after [`QUOTED_CHARACTERS`].
-pub fn quoted(value: &str) -> String {
-    let mut quoted = String::new();
-    let mut characters = value.chars();
-    for character in characters.by_ref().take(QUOTED_CHARACTERS) {
+/// The first `most` characters of a text, hidden ones by their numbers.
+pub fn visible(text: &str, most: usize) -> String {
+    let mut visible = String::new();
+    for character in text.chars().take(most) {
         if is_hidden(character) {
-            quoted.extend(character.escape_default());
+            visible.extend(character.escape_default());
         } else {
-            quoted.push(character);
+            visible.push(character);
         }
     }
-    if characters.next().is_some() {
+    visible
+}
+
+/// A value as an error quotes it: hidden characters escaped, cut after [`QUOTED_CHARACTERS`].
+pub fn quoted(value: &str) -> String {
+    let mut quoted = visible(value, QUOTED_CHARACTERS);
+    if value.chars().nth(QUOTED_CHARACTERS).is_some() {
         quoted.push_str("..");
     }
     quoted
+}
+
+/// A number as people write it, and as an error quotes it: very large and very small ones with an exponent.
+pub fn number<N: Copy + Into<f64> + Display + LowerExp>(value: N) -> String {
+    let size = value.into().abs();
+    if size == 0.0 || (1e-6..1e15).contains(&size) { format!("{value}") } else { format!("{value:e}") }
 }
 
 #[cfg(test)]
@@ -228,6 +246,22 @@ mod tests {
         }
         let error = Limits::DEFAULT.with(["pixels=1"]).unwrap_err().to_string();
         assert!(error.contains("`pixels`") && error.contains("map_pixels, "), "{error}");
+    }
+
+    #[test]
+    fn a_quoted_number_is_short() {
+        for (value, quoted) in [
+            (0.0, "0"),
+            (-2.5, "-2.5"),
+            (0.000_001, "0.000001"),
+            (1.5e-7, "1.5e-7"),
+            (-1e300, "-1e300"),
+            (f64::NAN, "NaN"),
+            (f64::INFINITY, "inf"),
+        ] {
+            assert_eq!(number(value), quoted);
+        }
+        assert_eq!([number(0.1_f32), number(f32::MAX)], ["0.1", "3.4028235e38"]);
     }
 
     #[test]

@@ -2,7 +2,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use locsim_core::Drive;
-use locsim_core::limits::Limits;
+use locsim_core::limits::{Limits, quoted};
 use serde::Serialize;
 
 use crate::carmen::{self, encode_carmen};
@@ -32,12 +32,19 @@ impl LogFormat {
     /// As [`Self::of_name`], for a log that is to be written, while another one may be read.
     ///
     /// # Errors
-    /// The name is that of another format of recordings; the folder is a bag.
+    /// The name ends as logs of neither format do; the folder is a bag.
     pub fn to_write(path: &Path, read: Option<&Path>) -> Result<Self, DatasetError> {
-        let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-        if NOT_WRITTEN.contains(&extension.as_str()) {
+        let ending = |name: &Path| name.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+        let of_packed = |name: &Path| name.file_stem().and_then(|stem| ending(Path::new(stem)));
+        let is_known = match ending(path).as_deref() {
+            None | Some("mcap" | "log" | "clf") => true,
+            Some("gz") => matches!(of_packed(path).as_deref(), None | Some("log" | "clf")),
+            Some(_) => false,
+        };
+        if !is_known {
             let reason = format!(
-                "a log isn't written as `.{extension}`; allowed: .mcap for a ROS 2 bag; other names, such as .log or .log.gz, are CARMEN logs"
+                "a log isn't written as `.{}`; allowed: .mcap for a ROS 2 bag; .log, .log.gz or a name without an ending for a CARMEN log",
+                quoted(&path.extension().unwrap_or_default().to_string_lossy())
             );
             return Err(DatasetError::Refused { path: path.to_owned(), line: None, reason });
         }
@@ -69,9 +76,6 @@ impl LogFormat {
         })
     }
 }
-
-/// Extensions of recordings that aren't written, and of other files of this program: who gives one doesn't want a CARMEN log.
-const NOT_WRITTEN: [&str; 8] = ["bag", "db3", "sqlite3", "zstd", "zst", "yaml", "yml", "json"];
 
 /// How to read a log of either format.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -6,6 +6,7 @@ use std::io::{self, BufRead, BufReader, ErrorKind, Read};
 use std::path::Path;
 
 use flate2::bufread::MultiGzDecoder;
+use locsim_core::input::is_pipe_or_device;
 use locsim_core::limits::{Limits, UNPACKING_FACTOR};
 use mcap::MAGIC as MCAP;
 use ruzstd::decoding::{FrameDecoder, StreamingDecoder};
@@ -84,6 +85,9 @@ impl Source {
     /// The file can't be opened or unpacked, or holds no log.
     pub fn open(path: &Path, limits: &Limits) -> Result<Self, DatasetError> {
         let failed = |source| DatasetError::Open { path: path.to_owned(), source };
+        if is_pipe_or_device(path) {
+            return Err(not_a_log(path, "a pipe or a device", "a file"));
+        }
         let file = File::open(path).map_err(failed)?;
         let metadata = file.metadata().map_err(failed)?;
         if metadata.is_dir() {
@@ -135,8 +139,10 @@ fn content(path: &Path, start: &[u8]) -> Result<Content, DatasetError> {
 
 /// What a file is that isn't a text, by its first bytes, in words; `None` for a text, and where it can't be told.
 pub fn not_a_text(path: &Path) -> Option<&'static str> {
-    // No more than the first bytes: a pipe may be read again by nobody.
-    let file = File::open(path).ok().filter(|file| file.metadata().is_ok_and(|found| found.is_file()))?;
+    if is_pipe_or_device(path) {
+        return None;
+    }
+    let file = File::open(path).ok()?;
     let mut start = Vec::new();
     file.take(SIGNATURE).read_to_end(&mut start).ok()?;
     let signatures = [

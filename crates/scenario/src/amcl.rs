@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use locsim_core::limits::number;
 use locsim_sensor::{AmclKind, AmclParameters, SensorError};
 use serde::Deserialize;
 
@@ -86,7 +87,7 @@ pub fn load_amcl(path: &Path) -> Result<AmclParameters, ScenarioError> {
     };
     parameters.check().map_err(|error| match error {
         SensorError::Parameter { what, allowed, value } => {
-            refuse(what, format!("{value} is not allowed; {allowed}"))
+            refuse(what, format!("{} is not allowed; {allowed}", number(value)))
         }
         other => refuse("", other.to_string()),
     })?;

@@ -3,7 +3,8 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use locsim_core::limits::{QUOTED_CHARACTERS, RANGE_M, quoted};
+pub use locsim_core::limits::number;
+use locsim_core::limits::{LEAST_RANGE_M, QUOTED_CHARACTERS, RANGE_M, quoted};
 use locsim_dataset::log_files;
 
 use super::error::{LISTED, and_more, shown};
@@ -54,7 +55,7 @@ pub const POSITIVE_LENGTH: Allowed = Allowed::Within(1e-3, 1e4);
 /// A part of the robot's place on it (m).
 pub const OFFSET: Allowed = Allowed::Within(-1e4, 1e4);
 /// A maximum range (m).
-pub const MAX_RANGE: Allowed = Allowed::Within(1e-3, RANGE_M);
+pub const MAX_RANGE: Allowed = Allowed::Within(LEAST_RANGE_M, RANGE_M);
 /// A step between values; 0 for none (m).
 pub const STEP: Allowed = Allowed::ZeroOrWithin(1e-6, 1e4);
 /// A standard deviation (m or deg), or another parameter of noise, that nothing is divided by.
@@ -86,15 +87,6 @@ impl fmt::Display for Allowed {
             Self::FromBelow(lo, hi) => write!(f, "a number from {lo}, below {hi}"),
             Self::Between(lo, hi) => write!(f, "a number above {lo}, below {hi}"),
         }
-    }
-}
-
-/// A number as people write it: very large and very small ones with an exponent.
-pub fn number(value: f64) -> String {
-    if value == 0.0 || (1e-6..1e15).contains(&value.abs()) {
-        format!("{value}")
-    } else {
-        format!("{value:?}")
     }
 }
 

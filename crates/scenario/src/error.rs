@@ -3,7 +3,7 @@
 use std::fmt::{self, Write};
 use std::path::{Path, PathBuf};
 
-use locsim_core::limits::{QUOTED_CHARACTERS, is_hidden, quoted};
+use locsim_core::limits::{QUOTED_CHARACTERS, quoted, visible};
 use thiserror::Error;
 
 /// An error lists this many problems, at the most.
@@ -76,20 +76,7 @@ pub fn and_more(more: usize) -> Option<Problem> {
 
 /// A file's name without hidden characters; longer than a system's names only where a file asks for such a one.
 pub fn shown(path: &Path) -> String {
-    plain(&path.to_string_lossy(), 1000)
-}
-
-/// The first characters of a text, hidden ones by their numbers.
-fn plain(text: &str, most: usize) -> String {
-    let mut plain = String::new();
-    for c in text.chars().take(most) {
-        if is_hidden(c) {
-            plain.extend(c.escape_default());
-        } else {
-            plain.push(c);
-        }
-    }
-    plain
+    visible(&path.to_string_lossy(), 1000)
 }
 
 impl fmt::Display for Problem {
@@ -127,7 +114,7 @@ pub fn unknown_word(word: &str, what: &str, known: &[&str]) -> String {
         [] => text.push_str("none is allowed here"),
         known => {
             let listed: Vec<String> =
-                known.iter().take(LISTED_WORDS).map(|word| plain(word, QUOTED_CHARACTERS)).collect();
+                known.iter().take(LISTED_WORDS).map(|word| visible(word, QUOTED_CHARACTERS)).collect();
             let _ = write!(text, "allowed: {}", listed.join(", "));
             if known.len() > LISTED_WORDS {
                 let _ = write!(text, " and {} more", known.len() - LISTED_WORDS);

@@ -181,7 +181,10 @@ fn key_of_vector_error(map: &VectorMap, error: &MapError) -> String {
         MapError::NotFinite { polyline, point, .. }
         | MapError::TooFar { polyline, point, .. }
         | MapError::ZeroLengthEdge { polyline, point, .. } => (polyline, Some(*point)),
+        MapError::OutOfReach { wall, point, .. } => (wall, Some(*point)),
         MapError::TooFewPoints { polyline, .. }
+        | MapError::NoArea { polyline }
+        | MapError::Crosses { polyline, .. }
         | MapError::DuplicateName { polyline, .. }
         | MapError::NoSuchEdge { polyline, .. }
         | MapError::EdgeNamedTwice { polyline, .. } => (polyline, None),

@@ -3,6 +3,7 @@
 use std::io::{ErrorKind, Write};
 
 use anyhow::{Context, Result};
+use locsim_core::limits::visible;
 
 /// Prints a line on standard output. A reader that closes the pipe early (`| head`) is no error.
 ///
@@ -24,7 +25,8 @@ pub fn columns() -> Option<usize> {
     told.or_else(|| console::Term::stdout().size_checked().map(|(_, columns)| usize::from(columns)))
 }
 
-/// Prints a line on standard error, if that can be done.
+/// Prints lines on standard error, if that can be done. A name in them may hold what a terminal obeys, which is escaped.
 pub fn complain(text: &str) {
-    let _ = writeln!(std::io::stderr().lock(), "{text}");
+    let lines: Vec<String> = text.split('\n').map(|line| visible(line, usize::MAX)).collect();
+    let _ = writeln!(std::io::stderr().lock(), "{}", lines.join("\n"));
 }

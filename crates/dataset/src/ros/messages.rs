@@ -1,7 +1,7 @@
 //! The messages of ROS 2 that a drive is made of: fields in the order of their definitions, which is that of CDR.
 
 use locsim_core::Pose2;
-use locsim_core::limits::{COORDINATE, quoted};
+use locsim_core::limits::{COORDINATE, number, quoted};
 use re_cdr::{BigEndian, LittleEndian};
 use serde::{Deserialize, Serialize};
 
@@ -107,10 +107,12 @@ impl Pose {
     pub fn projected(&self) -> Result<Pose2, String> {
         let Self { position: Vector3 { x, y, z }, orientation: q } = self;
         if ![x, y, z].iter().all(|v| v.abs() <= COORDINATE) {
+            let [x, y, z] = [*x, *y, *z].map(number);
             return Err(format!("position is ({x}, {y}, {z}); allowed: finite numbers up to {COORDINATE:e}"));
         }
-        let theta = heading([q.x, q.y, q.z, q.w])
-            .map_err(|length| format!("length of the quaternion is {length}; allowed: 0.99 to 1.01"))?;
+        let theta = heading([q.x, q.y, q.z, q.w]).map_err(|length| {
+            format!("length of the quaternion is {}; allowed: 0.99 to 1.01", number(length))
+        })?;
         Ok(Pose2::new(*x, *y, theta))
     }
 }

@@ -1,6 +1,6 @@
 //! The scans of a bag: one laser's, though spinning lidars give a beam more or less.
 
-use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
+use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, number, quoted};
 use locsim_core::{Laser, LaserError, Pose2, resampled, wrap_angle};
 
 use super::BagOptions;
@@ -163,12 +163,13 @@ impl Scans {
             ] {
                 // By bits: a NaN that stays is refused as a laser.
                 if found.to_bits() != allowed.to_bits() {
+                    let [found, allowed] = [found, allowed].map(number);
                     return Err(format!("{field} is {found}; allowed: {allowed}, as in the first"));
                 }
             }
         }
         if !(0.0..=COORDINATE).contains(&f64::from(scan.time_increment.abs())) {
-            let found = scan.time_increment;
+            let found = number(scan.time_increment);
             return Err(format!("time_increment is {found}; allowed: a finite number up to {COORDINATE:e}"));
         }
         self.time_increments_secs += f64::from(scan.time_increment);

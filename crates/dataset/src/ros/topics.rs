@@ -1,4 +1,4 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use locsim_core::limits::quoted;
@@ -153,7 +153,11 @@ impl<'a> Topics<'a> {
         if is_topic(&odometry) && is_topic(&reference) && fixed_transforms.is_some() {
             transforms = None;
         }
-        Ok(Chosen { scan, odometry, reference, localizer, transforms, fixed_transforms, guessed })
+        let mut chosen =
+            Chosen { scan, odometry, reference, localizer, transforms, fixed_transforms, guessed };
+        let shared = self.of_several_types(&chosen);
+        chosen.guessed.extend(shared);
+        Ok(chosen)
     }
 
     /// The channel of scans, or of clouds where there are none or where one is named.
@@ -168,6 +172,22 @@ impl<'a> Topics<'a> {
             Some(topic) => Ok(self.named(&CLOUD, Some(&topic), "")?.unwrap_or_default()),
             None => self.named_or_only(&SCAN, wanted, "", None, guessed),
         }
+    }
+
+    /// The names under which channels of several types stand, of which one is read, in words.
+    fn of_several_types(&self, chosen: &Chosen) -> Vec<String> {
+        let names: BTreeSet<&str> =
+            chosen.channels().into_iter().map(|channel| channel.topic.as_str()).collect();
+        let types = |name: &str| -> BTreeSet<String> {
+            let channels = self.tallies.keys().filter(|channel| channel.topic == name);
+            channels.map(|channel| quoted(&channel.schema)).collect()
+        };
+        let several = names.into_iter().map(|name| (name, types(name))).filter(|(_, types)| types.len() > 1);
+        let in_words = |(name, types): (&str, BTreeSet<String>)| {
+            let types: Vec<String> = types.into_iter().take(LISTED).collect();
+            format!("{} has messages of several types, as no topic may: {}", quoted(name), types.join(", "))
+        };
+        several.map(in_words).collect()
     }
 
     /// Number of messages of all channels.

@@ -242,9 +242,9 @@ pub enum RawStart {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawAround {
-    /// x (m), -1000000 to 1000000.
+    /// x (m), -1000000 to 1000000, within the map's extent.
     pub x_m: f64,
-    /// y (m), -1000000 to 1000000.
+    /// y (m), -1000000 to 1000000, within the map's extent.
     pub y_m: f64,
     /// Heading (deg), 0 along x, counter-clockwise, -1000000 to 1000000.
     pub heading_deg: f64,

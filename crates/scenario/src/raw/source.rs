@@ -162,7 +162,7 @@ pub struct RawLaser {
     pub min_range_m: f64,
     /// Maximum range (m), 0.001 to 10000, above the minimum. A reading at it means "no return".
     pub max_range_m: f64,
-    /// Step of a reading (m), 0.000001 to 10000, or 0 for readings that aren't quantized.
+    /// Step of a reading (m), 0.000001 to `max_range_m`, or 0 for readings that aren't quantized.
     #[serde(default)]
     pub resolution_m: f64,
     /// Gaussian noise of a reading.

@@ -8,7 +8,9 @@ mod source;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use locsim_core::Pose2;
 use locsim_core::limits::{MOST_TRIALS, quoted};
+use locsim_world::map::Geometry;
 use locsim_world::simulation::{RobotPath, Trajectory};
 
 use super::check::Allowed::Within;
@@ -20,7 +22,7 @@ use super::key_path::join;
 use super::raw::{All, RawBounds, RawModel, RawRecord, RawScenario, RawTraining, default};
 use super::{
     Errors, Expectation, LoadedMap, METRICS, Model, ModelName, Overrides, Record, Scenario, ScenarioError,
-    Simulation, Source, Training, check_reading,
+    Simulation, Source, Start, Training, check_reading,
 };
 
 /// Models of a scenario.
@@ -89,6 +91,9 @@ pub(crate) fn in_map(
     map: &LoadedMap,
     mut check: Checker<'_>,
 ) -> Result<(), ScenarioError> {
+    if let Start::Around(pose, _) = scenario.filter.start {
+        around(&mut check, pose, &map.geometry);
+    }
     let simulation = match &mut scenario.source {
         Source::Simulation(simulation) => simulation,
         Source::Log(log) => {
@@ -124,6 +129,17 @@ pub(crate) fn in_map(
         between_points(&mut check, simulation, map);
     }
     if check.is_clean() { Ok(()) } else { Err(check.into_error()) }
+}
+
+/// Checks that the filter starts within the map.
+fn around(check: &mut Checker<'_>, start: Pose2, map: &Geometry) {
+    let [x0, y0, x1, y1] = map.bounds();
+    for (key, value, [lo, hi]) in [("x_m", start.x, [x0, x1]), ("y_m", start.y, [y0, y1])] {
+        check.refuse(!(lo..=hi).contains(&value), &join("filter.start.around", key), || {
+            let [value, lo, hi] = [value, lo, hi].map(number);
+            format!("{value} is not allowed; {lo} to {hi}, the map's extent")
+        });
+    }
 }
 
 /// The most pairs of a step and a wall that are looked at.
@@ -385,6 +401,11 @@ fn bound(
     if metric.is_empty() {
         check.problem(key, "a bound belongs to a figure, such as {lost_share: {max: 0.05}}");
         return;
+    }
+    let is_share = metric == "lost_share";
+    for (word, bound) in [("min", min), ("max", max)] {
+        let Some(bound) = bound.filter(|bound| is_share && !(0.0..=1.0).contains(bound)) else { continue };
+        check.problem(&join(key, word), format!("{} is not allowed; a share from 0 to 1", number(bound)));
     }
     match METRICS.into_iter().find(|known| *known == metric) {
         Some(metric) => out.push(Expectation { model: label.to_owned(), metric, min, max }),

@@ -51,7 +51,7 @@ fn residual(check: &mut Checker<'_>, at: &str, raw: &RawResidual) -> Option<Resi
             check.numbers(&key, cell, COORDINATE);
             check.refuse(!(cell[0] < cell[2] && cell[1] < cell[3]), &key, || {
                 let cell = cell.map(number).join(", ");
-                format!("[{cell}] is not allowed; [x_min, y_min, x_max, y_max]")
+                format!("[{cell}] is not allowed; [x_min, y_min, x_max, y_max], each max above its min")
             });
         }
         levels.push((key, Levels::Cells(cells.clone())));

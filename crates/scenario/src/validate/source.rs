@@ -240,6 +240,11 @@ fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
         let [max, min] = [max_range_m, min_range_m].map(number);
         format!("{max} is not allowed; above laser.min_range_m, which is {min}")
     });
+    let resolution_m = check.number("laser.resolution_m", raw.resolution_m, STEP);
+    check.refuse(resolution_m > max_range_m, "laser.resolution_m", || {
+        let [resolution, max] = [resolution_m, max_range_m].map(number);
+        format!("{resolution} is not allowed; at most laser.max_range_m, which is {max}")
+    });
     let scan_secs = check.number("laser.scan_secs", raw.scan_secs, Within(0.0, 1e3));
     check.refuse(scan_secs * rate_hz > 1.0 + ROUNDED, "laser.scan_secs", || {
         let [sweep, period] = [scan_secs, (1e4 / rate_hz).floor() / 1e4].map(number);
@@ -260,7 +265,7 @@ fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
             .map(|first| check.degrees("laser.first_beam_deg", first, Within(-180.0, 180.0))),
         min_range_m,
         max_range_m,
-        resolution_m: check.number("laser.resolution_m", raw.resolution_m, STEP),
+        resolution_m,
         sigma_m: check.number("laser.noise.sigma_m", raw.noise.sigma_m, ZeroOrWithin(1e-6, 1.0)),
         sigma_per_m: check.number("laser.noise.sigma_per_m", raw.noise.sigma_per_m, NOISE),
         mount: Pose2::new(

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use locsim_core::limits::Limits;
+use locsim_core::limits::{Limits, RANGE_M, number, quoted};
 use thiserror::Error;
 
 use super::{COARSEST_M, FARTHEST_M, FINEST_M};
@@ -9,7 +9,7 @@ use super::{COARSEST_M, FARTHEST_M, FINEST_M};
 #[derive(Debug, Error)]
 pub enum MapError {
     /// A closed polyline needs three points.
-    #[error("`{polyline}` has {points} points; a closed polyline needs at least 3")]
+    #[error("`{}` has {points} points; a closed polyline needs at least 3", quoted(polyline))]
     TooFewPoints {
         /// Name of the polyline.
         polyline: String,
@@ -17,7 +17,7 @@ pub enum MapError {
         points: usize,
     },
     /// A coordinate is NaN or infinite.
-    #[error("point {point} of `{polyline}` is not finite: [{}, {}]", .value[0], .value[1])]
+    #[error("point {point} of `{}` is not finite: {}", quoted(polyline), point_of(value))]
     NotFinite {
         /// Name of the polyline or wall.
         polyline: String,
@@ -28,8 +28,9 @@ pub enum MapError {
     },
     /// A coordinate is far beyond any building.
     #[error(
-        "point {point} of `{polyline}` is not allowed: [{}, {}]; coordinates are metres, at most {FARTHEST_M} either way",
-        .value[0], .value[1]
+        "point {point} of `{}` is not allowed: {}; coordinates are metres, at most {FARTHEST_M} either way",
+        quoted(polyline),
+        point_of(value)
     )]
     TooFar {
         /// Name of the polyline or wall.
@@ -39,9 +40,38 @@ pub enum MapError {
         /// Its coordinates.
         value: [f64; 2],
     },
+    /// A wall is so far from the floor that no laser on it can see it.
+    #[error(
+        "point {point} of `{}` is not allowed: {}; at most {RANGE_M} m beyond the outline, as no laser reaches farther",
+        quoted(wall),
+        point_of(value)
+    )]
+    OutOfReach {
+        /// Name of the wall.
+        wall: String,
+        /// Index of the point.
+        point: usize,
+        /// Its coordinates.
+        value: [f64; 2],
+    },
+    /// An outline has nothing inside.
+    #[error("`{}` has no area: its points lie on one line", quoted(polyline))]
+    NoArea {
+        /// Name of the polyline.
+        polyline: String,
+    },
+    /// Two edges of an outline cross each other.
+    #[error("edges {} and {} of `{}` cross each other; an outline has one inside", edges[0], edges[1], quoted(polyline))]
+    Crosses {
+        /// Name of the polyline.
+        polyline: String,
+        /// Indices of the edges.
+        edges: [usize; 2],
+    },
     /// Two neighbouring points coincide; the last point of a polyline neighbours the first.
     #[error(
-        "points {point} and {next} of `{polyline}` coincide; edges need a length, and polylines close themselves"
+        "points {point} and {next} of `{}` coincide; edges need a length, and polylines close themselves",
+        quoted(polyline)
     )]
     ZeroLengthEdge {
         /// Name of the polyline or wall.
@@ -52,7 +82,7 @@ pub enum MapError {
         next: usize,
     },
     /// A number of a measured wall is out of range.
-    #[error("`{key}` of `{wall}`: {value} is not allowed; {allowed}")]
+    #[error("`{key}` of `{}`: {} is not allowed; {allowed}", quoted(wall), number(*value))]
     Wall {
         /// Name of the wall.
         wall: String,
@@ -64,7 +94,7 @@ pub enum MapError {
         allowed: &'static str,
     },
     /// A name stands for two things.
-    #[error("the name `{name}` is given twice, the second time in `{polyline}`")]
+    #[error("the name `{}` is given twice, the second time in `{}`", quoted(name), quoted(polyline))]
     DuplicateName {
         /// The name.
         name: String,
@@ -72,7 +102,11 @@ pub enum MapError {
         polyline: String,
     },
     /// A surface names an edge that its polyline doesn't have.
-    #[error("surface `{name}` names edge {edge} of `{polyline}`, which has edges 0 to {last}")]
+    #[error(
+        "surface `{}` names edge {edge} of `{}`, which has edges 0 to {last}",
+        quoted(name),
+        quoted(polyline)
+    )]
     NoSuchEdge {
         /// Name of the polyline.
         polyline: String,
@@ -84,7 +118,12 @@ pub enum MapError {
         last: usize,
     },
     /// An edge belongs to two surfaces.
-    #[error("edge {edge} of `{polyline}` is named twice: `{first}` and `{second}`")]
+    #[error(
+        "edge {edge} of `{}` is named twice: `{}` and `{}`",
+        quoted(polyline),
+        quoted(first),
+        quoted(second)
+    )]
     EdgeNamedTwice {
         /// Name of the polyline.
         polyline: String,
@@ -105,7 +144,10 @@ pub enum MapError {
     )]
     Origin([f64; 3]),
     /// The thresholds of a grid are out of order.
-    #[error("thresholds must satisfy 0 <= free_thresh < occupied_thresh <= 1; got {free} and {occupied}")]
+    #[error(
+        "thresholds must satisfy 0 <= free_thresh < occupied_thresh <= 1; got {} and {}",
+        number(*free), number(*occupied)
+    )]
     Thresholds {
         /// `free_thresh`.
         free: f64,
@@ -124,8 +166,8 @@ pub enum MapError {
     },
     /// The grid would have no cells, or more than are allowed.
     #[error(
-        "a grid of {width} x {height} cells is empty or too large: are the map's units metres? (at most {} cells; \
-         `--limit grid_cells=N` raises it)", Limits::current().grid_cells
+        "a grid of {} x {} cells is empty or too large: are the map's units metres? (at most {} cells; \
+         `--limit grid_cells=N` raises it)", number(*width), number(*height), Limits::current().grid_cells
     )]
     Extent {
         /// Cells along x.
@@ -142,7 +184,7 @@ pub enum MapError {
         steps: usize,
     },
     /// The image of a grid has more pixels than are allowed.
-    #[error("map image {}: {refusal}", .path.display())]
+    #[error("map image {}: {refusal}", quoted(&path.to_string_lossy()))]
     ImageSize {
         /// The image's path.
         path: PathBuf,
@@ -153,11 +195,16 @@ pub enum MapError {
     #[error("{0}")]
     TooMany(String),
     /// The image of a grid cannot be read or written.
-    #[error("map image {}: {source}", .path.display())]
+    #[error("map image {}: {source}", quoted(&path.to_string_lossy()))]
     Image {
         /// The image's path.
         path: PathBuf,
         /// The decoder's error.
         source: image::ImageError,
     },
+}
+
+/// A point as an error quotes it.
+fn point_of([x, y]: &[f64; 2]) -> String {
+    format!("[{}, {}]", number(*x), number(*y))
 }

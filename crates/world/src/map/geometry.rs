@@ -76,7 +76,7 @@ impl Geometry {
         &self.segments[..self.walls]
     }
 
-    /// Whether the straight way between two points crosses a wall, or ends on it.
+    /// Whether the straight way between two points crosses a wall, ends on it or leads along it.
     pub fn is_crossed(&self, from: DVec2, to: DVec2) -> bool {
         let way = to - from;
         self.walls().iter().any(|[a, b]| {
@@ -85,7 +85,10 @@ impl Geometry {
                 way.perp_dot(*a - from) * way.perp_dot(*b - from),
                 along.perp_dot(from - *a) * along.perp_dot(to - *a),
             ];
-            sides[0] < 0.0 && sides[1] <= 0.0
+            let is_along = way.perp_dot(*a - from) == 0.0 && way.perp_dot(*b - from) == 0.0;
+            let ends = [*a, *b].map(|end| way.dot(end - from));
+            let overlaps = ends[0].max(ends[1]) > 0.0 && ends[0].min(ends[1]) < way.length_squared();
+            (sides[0] < 0.0 && sides[1] <= 0.0) || (is_along && overlaps)
         })
     }
 

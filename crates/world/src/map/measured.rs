@@ -9,6 +9,9 @@ use super::{COINCIDENT_M, FARTHEST_M, Geometry, MapError};
 /// A wall has a nominal range when at least this share of the beams that reach it end there: then their median ends there.
 const NOMINAL_SHARE: f64 = 0.5;
 
+/// The lengths that are allowed: 0 to [`FARTHEST_M`].
+const LENGTH: &str = "a length of 0 to 10000000 (m)";
+
 /// The name of the surface around what was seen.
 const UNKNOWN: &str = "unknown";
 
@@ -66,7 +69,7 @@ impl MeasuredMap {
             }
             let is_length = |value: f64| (0.0..=FARTHEST_M).contains(&value);
             for (key, value, is_allowed, allowed) in [
-                ("sigma_m", wall.sigma_m, is_length(wall.sigma_m), "a length of 0 or more (m)"),
+                ("sigma_m", wall.sigma_m, is_length(wall.sigma_m), LENGTH),
                 ("hit_share", wall.hit_share, (0.0..=1.0).contains(&wall.hit_share), "a share, 0 to 1"),
             ] {
                 if !is_allowed {

@@ -62,7 +62,7 @@ impl OccupancyMapFile {
         if !(thresholds.iter().all(|t| (0.0..=1.0).contains(t)) && thresholds[0] < thresholds[1]) {
             return Err(MapError::Thresholds { free: thresholds[0], occupied: thresholds[1] });
         }
-        let image = decode(&folder.join(&self.image))?;
+        let image = decode(&folder.join(&self.image), &self.image)?;
         let eight_bits = |channel: u8| f64::from(u16::from(channel) * 257) / 65535.0;
         let sixteen_bits = |channel: u16| f64::from(channel) / 65535.0;
         match &image {
@@ -140,12 +140,12 @@ const MOST_WRITTEN: u64 = 18;
 
 const CUT_OFF: &str = "it ends before its last pixel";
 
-/// Decodes an image that has no more pixels than are allowed.
-fn decode(path: &Path) -> Result<DynamicImage, MapError> {
+/// Decodes an image that has no more pixels than are allowed. Errors call it by `name`, as its map does.
+fn decode(path: &Path, name: &Path) -> Result<DynamicImage, MapError> {
     let limits = Limits::current();
     let other = |what: &str| {
         let source = ImageError::IoError(io::Error::other(what));
-        MapError::Image { path: path.to_owned(), source }
+        MapError::Image { path: name.to_owned(), source }
     };
     let failed = |source| match source {
         ImageError::IoError(error) if error.kind() == io::ErrorKind::UnexpectedEof => other(CUT_OFF),
@@ -153,14 +153,14 @@ fn decode(path: &Path) -> Result<DynamicImage, MapError> {
             "it needs more memory than images of {} pixels do; `--limit map_pixels=N` raises it",
             limits.map_pixels
         )),
-        source => MapError::Image { path: path.to_owned(), source },
+        source => MapError::Image { path: name.to_owned(), source },
     };
     let size_is_allowed = |pixels: u64| {
         if pixels <= limits.map_pixels {
             return Ok(());
         }
         let refusal = limits.refusal("map_pixels", pixels);
-        Err(MapError::ImageSize { path: path.to_owned(), refusal })
+        Err(MapError::ImageSize { path: name.to_owned(), refusal })
     };
     let found = fs::metadata(path).map_err(|error| failed(error.into()))?;
     if !found.is_file() {
@@ -184,11 +184,18 @@ fn decode(path: &Path) -> Result<DynamicImage, MapError> {
         return Err(other(CUT_OFF));
     }
     let raster = decoder.total_bytes();
-    let header = end_of_text_header(path).map_err(|error| failed(error.into()))?;
-    if header.is_some_and(|end| end + raster == found.len()) {
-        return Err(other(
-            "its header ends in CR LF, of which the second would be its first pixel: one blank is needed there",
-        ));
+    if let Some(header) = pgm_header(path).map_err(|error| failed(error.into()))? {
+        if header.is_text && header.end + 2 + raster == found.len() {
+            return Err(other(
+                "its header ends in CR LF, of which the second would be its first pixel: one blank is needed there",
+            ));
+        }
+        if let Some(sample) = header.sample_above(path).map_err(|error| failed(error.into()))? {
+            return Err(other(&format!(
+                "it has a sample of {sample}; at most {}, the greatest that its header tells",
+                header.greatest
+            )));
+        }
     }
     DynamicImage::from_decoder(decoder).map_err(failed)
 }
@@ -196,8 +203,34 @@ fn decode(path: &Path) -> Result<DynamicImage, MapError> {
 /// Bytes that the header of a PGM is looked for in.
 const MOST_HEADER: u64 = 4096;
 
-/// Where the header of a binary PGM (magic, width, height, greatest value) ends, if it is in CR LF, as programs write it that take it for text.
-fn end_of_text_header(path: &Path) -> io::Result<Option<u64>> {
+/// The header of a binary PGM: magic, width, height, greatest value.
+struct PgmHeader {
+    /// Bytes up to the blank before the first sample.
+    end: u64,
+    greatest: u16,
+    /// It ends in CR LF, as programs write it that take it for text.
+    is_text: bool,
+}
+
+impl PgmHeader {
+    /// The first sample above the greatest that the header tells. No larger image than is allowed is looked at.
+    fn sample_above(&self, path: &Path) -> io::Result<Option<u16>> {
+        if [u16::from(u8::MAX), u16::MAX].contains(&self.greatest) {
+            return Ok(None);
+        }
+        let bytes = fs::read(path)?;
+        let samples = bytes.get(self.end as usize + 1..).unwrap_or_default();
+        let is_above = |sample: &u16| *sample > self.greatest;
+        Ok(if self.greatest < u8::MAX.into() {
+            samples.iter().map(|&sample| sample.into()).find(is_above)
+        } else {
+            samples.chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).find(is_above)
+        })
+    }
+}
+
+/// The header of a file; `None` where it is no binary PGM.
+fn pgm_header(path: &Path) -> io::Result<Option<PgmHeader>> {
     let mut head = Vec::new();
     fs::File::open(path)?.take(MOST_HEADER).read_to_end(&mut head)?;
     let (mut tokens, mut at) = (0, 0);
@@ -207,10 +240,13 @@ fn end_of_text_header(path: &Path) -> io::Result<Option<u64>> {
         } else if head[at].is_ascii_whitespace() {
             at += 1;
         } else {
-            at += head[at..].iter().take_while(|byte| !byte.is_ascii_whitespace()).count();
+            let token = head[at..].split(u8::is_ascii_whitespace).next().unwrap_or_default();
+            at += token.len();
             tokens += 1;
             if tokens == 4 {
-                return Ok(head[at..].starts_with(b"\r\n").then_some(at as u64 + 2));
+                let greatest = std::str::from_utf8(token).ok().and_then(|token| token.parse().ok());
+                let is_text = head[at..].starts_with(b"\r\n");
+                return Ok(greatest.map(|greatest| PgmHeader { end: at as u64, greatest, is_text }));
             }
         }
     }

@@ -2,7 +2,7 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec2;
-use locsim_core::limits::Limits;
+use locsim_core::limits::{Limits, RANGE_M};
 use serde::{Deserialize, Serialize};
 
 use super::geometry::{FreeSpace, bounds_of};
@@ -79,13 +79,23 @@ impl VectorMap {
         }
         let mut builder = Builder::default();
         let outline = builder.add_polyline(&self.outline, "outline")?;
+        check_outline(self.outline.name.as_deref().unwrap_or("outline"), &outline)?;
         let mut obstacles = Vec::with_capacity(self.obstacles.len());
         for (i, obstacle) in self.obstacles.iter().enumerate() {
             obstacles.push(builder.add_polyline(obstacle, &format!("obstacle-{i}"))?);
         }
+        let [x0, y0, x1, y1] = bounds_of(outline.iter().copied());
+        let is_in_reach = |p: DVec2| {
+            let beyond = DVec2::new(x0, y0) - p;
+            beyond.max(p - DVec2::new(x1, y1)).max_element() <= RANGE_M
+        };
         for wall in &self.walls {
             builder.claim_name(&wall.name, &wall.name)?;
             let ends = finite_points(&wall.name, &[wall.from_m, wall.to_m])?;
+            if let Some(point) = ends.iter().position(|end| !is_in_reach(*end)) {
+                let value = ends[point].to_array();
+                return Err(MapError::OutOfReach { wall: wall.name.clone(), point, value });
+            }
             let surface = builder.new_surface(wall.name.clone());
             builder.add(&wall.name, &ends, 0, surface)?;
         }
@@ -173,6 +183,44 @@ impl Builder {
         }
         Err(MapError::DuplicateName { name: name.to_owned(), polyline: polyline.to_owned() })
     }
+}
+
+/// Checks that an outline has an area and doesn't cross itself. Edges may touch.
+fn check_outline(name: &str, points: &[DVec2]) -> Result<(), MapError> {
+    let polyline = || name.to_owned();
+    let edge = |i: usize| [points[i], points[(i + 1) % points.len()]];
+    let around: f64 = (0..points.len()).map(|i| edge(i)[0].distance(edge(i)[1])).sum();
+    // From the first point, as coordinates may be far from 0.
+    let area: f64 =
+        (0..points.len()).map(|i| (edge(i)[0] - points[0]).perp_dot(edge(i)[1] - points[0])).sum();
+    let order = edges_from_left(points);
+    for (k, &i) in order.iter().enumerate() {
+        let right = edge(i)[0].x.max(edge(i)[1].x);
+        // Edges that begin farther right don't reach this one.
+        let near = order[k + 1..].iter().take_while(|&&j| edge(j)[0].x.min(edge(j)[1].x) <= right);
+        if let Some(&j) = near.into_iter().find(|&&j| do_cross(edge(i), edge(j))) {
+            return Err(MapError::Crosses { polyline: polyline(), edges: [i.min(j), i.max(j)] });
+        }
+    }
+    if area.abs() <= COINCIDENT_M * around { Err(MapError::NoArea { polyline: polyline() }) } else { Ok(()) }
+}
+
+/// The edges of a closed polyline, ordered by their left ends.
+fn edges_from_left(points: &[DVec2]) -> Vec<usize> {
+    let left = |i: usize| points[i].x.min(points[(i + 1) % points.len()].x);
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    order.sort_by(|&i, &j| left(i).total_cmp(&left(j)));
+    order
+}
+
+/// Whether two lines cross each other, each with both ends clearly off the other.
+fn do_cross(one: [DVec2; 2], other: [DVec2; 2]) -> bool {
+    let are_apart = |[a, b]: [DVec2; 2], ends: [DVec2; 2]| {
+        let along = (b - a).normalize();
+        let [first, second] = ends.map(|end| along.perp_dot(end - a));
+        first.abs() > COINCIDENT_M && second.abs() > COINCIDENT_M && (first > 0.0) != (second > 0.0)
+    };
+    are_apart(one, other) && are_apart(other, one)
 }
 
 pub(super) fn finite_points(polyline: &str, points: &[[f64; 2]]) -> Result<Vec<DVec2>, MapError> {

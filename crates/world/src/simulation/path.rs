@@ -1,12 +1,10 @@
 use glam::DVec2;
+use locsim_core::limits::MOST_SCANS;
 use locsim_core::{Pose2, wrap_angle};
 use serde::Serialize;
 
 use super::SimulationError;
 use super::error::{check, check_count};
-
-/// The most scans of a drive.
-const MOST_SCANS: f64 = 1e6;
 
 /// The path of a robot.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -179,7 +177,7 @@ impl Trajectory {
     /// [`SimulationError::TooMany`] for more than a million.
     pub fn scan_count(&self, rate_hz: f64) -> Result<usize, SimulationError> {
         let count = (self.duration_secs * rate_hz + 1e-9).floor() + 1.0;
-        check_count("scans", count, MOST_SCANS)?;
+        check_count("scans", count, MOST_SCANS.into())?;
         Ok(count as usize)
     }
 

@@ -82,6 +82,18 @@ fn wrong_vector_maps_are_refused_with_their_place() {
         "points 4 and 0 of `outline` coincide; edges need a length, and polylines close themselves"
     );
     assert_eq!(
+        refused(&|map| map.outline.points_m.swap(1, 2)),
+        "edges 0 and 2 of `outline` cross each other; an outline has one inside"
+    );
+    assert_eq!(
+        refused(&|map| map.outline.points_m = vec![[0.0, 0.0], [1.0, 1.0], [4.0, 4.0]]),
+        "`outline` has no area: its points lie on one line"
+    );
+    assert_eq!(
+        refused(&|map| map.walls[0].to_m = [4.0, 10_005.0]),
+        "point 1 of `screen` is not allowed: [4, 10005]; at most 10000 m beyond the outline, as no laser reaches farther"
+    );
+    assert_eq!(
         refused(&|map| map.walls[0].to_m = [3.0, 0.0]),
         "points 0 and 1 of `screen` coincide; edges need a length, and polylines close themselves"
     );
@@ -101,6 +113,20 @@ fn wrong_vector_maps_are_refused_with_their_place() {
         refused(&|map| map.outline.surfaces.push(named("more", &[1]))),
         "edge 1 of `outline` is named twice: `ends` and `more`"
     );
+}
+
+/// Two parts of a floor that meet in a point, and a slit between two parts of one edge.
+#[test]
+fn an_outline_may_touch_itself() {
+    for points_m in [
+        vec![[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0], [2.0, 2.0], [0.0, 2.0]],
+        vec![[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [2.0, 4.0], [2.0, 1.0], [2.0, 4.0], [0.0, 4.0]],
+    ] {
+        let outline = Polyline { points_m, ..square().outline };
+        let map =
+            VectorMap { outline: Polyline { surfaces: vec![], ..outline }, obstacles: vec![], walls: vec![] };
+        assert!(map.to_geometry().unwrap().is_free(1.0, 1.0));
+    }
 }
 
 fn map_file(image: &str, mode: ImageMode) -> OccupancyMapFile {

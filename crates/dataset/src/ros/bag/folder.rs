@@ -3,6 +3,7 @@ use std::fs::{self, File};
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
+use locsim_core::input::is_pipe_or_device;
 use locsim_core::limits::quoted;
 
 use crate::DatasetError;
@@ -30,8 +31,7 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
         let path = entry.map_err(failed)?.path();
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else { continue };
         let Some(stem) = ENDINGS.iter().find_map(|ending| name.strip_suffix(ending)) else { continue };
-        // A pipe would be waited for.
-        if fs::metadata(&path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
+        if is_pipe_or_device(&path) {
             return Err(refuse(format!("`{}` is a pipe or a device; allowed: files", quoted(name))));
         }
         let numbered = stem.rsplit_once('_').and_then(|(stem, number)| Some((stem, number.parse().ok()?)));

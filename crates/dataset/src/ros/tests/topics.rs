@@ -43,6 +43,12 @@ fn topics_are_the_default_ones_or_alone_of_their_type() {
         absent.contains("scan topic `/lidar` isn't there with messages of type sensor_msgs/msg/LaserScan")
     );
 
+    // A name that several types stand under.
+    let (_, summary) =
+        plain().add("/scan", &odometry(1.0, &Pose2::IDENTITY)).read(&BagOptions::default()).unwrap();
+    let types = "/scan has messages of several types, as no topic may: nav_msgs/msg/Odometry, sensor_msgs/msg/LaserScan";
+    assert!(summary.evidence.contains(types), "{summary}");
+
     // A reference is never guessed, and isn't taken for odometry.
     let pose = Pose2::new(7.0, 8.0, 0.5);
     let more =
