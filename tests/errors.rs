@@ -266,6 +266,135 @@ fn options_of_the_command_line() {
     );
 }
 
+/// Opening a pipe is to wait for whoever writes into it.
+#[cfg(unix)]
+#[test]
+fn pipes() {
+    let folder = Folder::new();
+    let made = std::process::Command::new("mkfifo").arg(folder.path("pipe")).status();
+    assert!(made.unwrap().success());
+    folder.write("s.yaml", edited(ON_A_LOG, "drive.log", "pipe"));
+    for command in ["validate", "run"] {
+        let message = "s.yaml:2: log.file: `pipe` is not allowed; pipe isn't a regular file";
+        refused(&folder, &format!("{command} s.yaml"), message);
+    }
+    let effects = "effects: [{name: range_bias, bias_m: 0.02}]\n";
+    folder.write("e.yaml", SCENARIO.to_owned() + effects);
+    for line in [
+        "inspect pipe",
+        "map pipe --out m",
+        "init pipe --out i.yaml",
+        "convert pipe --out c.mcap",
+        "gap room-run.yaml --log pipe --out g",
+        "apply e.yaml --in pipe --out a.mcap",
+        "export nav2 pipe --out n.yaml",
+    ] {
+        refused(&folder, line, "pipe: this is a pipe or a device; allowed: a file");
+    }
+    for line in [
+        "validate pipe",
+        "run pipe",
+        "simulate pipe --out s.log",
+        "study pipe",
+        "sweep pipe",
+        "gap pipe --out g",
+        "export sdf pipe --out n.sdf",
+    ] {
+        let message = "pipe: a file is needed; this is a pipe or a device, and it is read more than once";
+        refused(&folder, line, message);
+    }
+}
+
+/// `--force` replaces what locsim has written, and an empty folder isn't of that.
+#[test]
+fn empty_folders_in_results() {
+    let folder = Folder::new();
+    let run = "run room-run.yaml --quiet --record none --trials 1 --models classic --out out";
+    folder.locsim(run).success();
+    for name in ["out/figures/mine", "out/notes"] {
+        std::fs::create_dir(folder.path(name)).unwrap();
+        let message = format!(
+            "--out: out is not allowed; {name} isn't as locsim wrote it, and stays. Move it away, or name another folder"
+        );
+        refused(&folder, &format!("{run} --force"), &message);
+        assert!(folder.path(name).is_dir());
+        std::fs::remove_dir(folder.path(name)).unwrap();
+    }
+    folder.locsim(&format!("{run} --force")).success();
+}
+
+#[test]
+fn names_of_what_is_written() {
+    let folder = Folder::new();
+    folder.locsim("simulate room-run.yaml --out drive.log").success();
+    std::fs::create_dir(folder.path("floors")).unwrap();
+    for out in ["/", ".", "..", "floor/", "floors/."] {
+        let message = format!(
+            "--out: `{out}` is not allowed; a name that the map's files are called by, such as floor"
+        );
+        refused(&folder, &format!("map drive.log --out {out}"), &message);
+    }
+    for (out, what) in
+        [("floors", "it is no file"), ("/dev/null", "it is no file"), ("drive.log", "this command reads it")]
+    {
+        refused(&folder, &format!("map drive.log --out {out}"), &format!("{out} is not allowed; {what}"));
+    }
+    let logs = "allowed: .mcap for a ROS 2 bag; .log, .log.gz or a name without an ending for a CARMEN log";
+    for line in ["simulate room-run.yaml --out", "convert drive.log --out"] {
+        refused(&folder, &format!("{line} x.foo"), &format!("x.foo: a log isn't written as `.foo`; {logs}"));
+        refused(
+            &folder,
+            &format!("{line} x.txt.gz"),
+            &format!("x.txt.gz: a log isn't written as `.gz`; {logs}"),
+        );
+    }
+    refused(
+        &folder,
+        "init drive.log --out i.mcap",
+        "--out: i.mcap is not allowed; a file name that ends in .yaml or .yml",
+    );
+    for line in ["simulate room-run.yaml --out d", "convert drive.log --out e.clf.gz"] {
+        folder.locsim(line).success();
+    }
+}
+
+#[test]
+fn what_a_log_or_a_scenario_has_not() {
+    let folder = Folder::new();
+    folder.locsim("simulate room-run.yaml --out drive.log --trial 2").success();
+    refused(
+        &folder,
+        "simulate room-run.yaml --out t.log --trial 3",
+        "room-run.yaml: --trial: 3 is not allowed; 0 to 2, as the scenario has `trials: 3`",
+    );
+    let call = folder.locsim("simulate room-run.yaml --out t.log --limit memory_bytes=1000000").code(2);
+    call.stderr(starts_with("error: room-run.yaml:11: laser.rate_hz: the run needs "))
+        .stderr(contains("the limit is 1.0 MB (`--limit memory_bytes="));
+    assert!(!folder.path("t.log").exists());
+    refused(
+        &folder,
+        "map drive.log --share 0,1e-9 --out m",
+        "drive.log: the share 0,1e-9 holds none of its 21 scans; allowed: one or more",
+    );
+    folder.write("one.yaml", edited(SCENARIO, "beams: 12", "beams: 1"));
+    folder.locsim("simulate one.yaml --out one.log").success();
+    let call = folder.locsim("map one.log --share 0,0.048 --out m").success();
+    call.stderr(contains(
+        "warning: The map of walls has no wall, as the readings of its scans (2) lie on no line.",
+    ));
+    folder
+        .locsim("manual nope")
+        .code(2)
+        .stderr(contains("`nope` is not a command of locsim; allowed: run, "));
+    let slow = edited(SCENARIO, "turn_rate_deg_s: 45", "turn_rate_deg_s: 0.001");
+    let there_and_back = edited(&slow, "[2.6, 0.9]]", "[2.6, 0.9], [0.6, 0.9]]");
+    folder.write("slow.yaml", edited(&there_and_back, "rate_hz: 5", "rate_hz: 20"));
+    let call = folder.locsim("simulate slow.yaml --out t.log --limit memory_bytes=100000000000").code(2);
+    call.stderr(contains(
+        "slow.yaml:11: laser.rate_hz: 3600161 scans are more than the 1000000 that are allowed; a lower rate",
+    ));
+}
+
 #[test]
 fn maps() {
     let folder = Folder::new();
@@ -285,6 +414,76 @@ fn maps() {
         &folder,
         "run room-run.yaml",
         "room.yaml:1: image: map image room.pgm: No such file or directory (os error 2)",
+    );
+}
+
+/// Values of a map's file are short in errors, and nothing in them acts on a terminal.
+#[test]
+fn long_and_hidden_values_of_maps() {
+    let folder = Folder::new();
+    let room = String::from_utf8(folder.read("room.yaml")).unwrap();
+    folder.locsim("inspect \u{1b}[31mX").code(2).stderr(starts_with("error: \\u{1b}[31mX: cannot be opened"));
+    let long = "n".repeat(500);
+    let cut = format!("{}..", "n".repeat(76));
+    let walls = format!("walls: [{{name: \"\\e[1m{long}\", from_m: [1, 1], to_m: [2, 1]}}]\n");
+    let twice =
+        walls.replace("]}]", &format!("]}}, {{name: \"\\e[1m{long}\", from_m: [1, 1], to_m: [2, 1]}}]"));
+    folder.write("room.yaml", room.clone() + &twice);
+    let name = format!("`\\u{{1b}}[1m{cut}`");
+    let call = folder.locsim("run room-run.yaml").code(2);
+    call.stderr(contains(format!("the name {name} is given twice, the second time in {name}")));
+    let ros = "image: IMAGE\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n";
+    for (image, told) in [
+        ("\"\\e[31mX\\nY\"".to_owned(), "map image \\u{1b}[31mX\\nY: No such file".to_owned()),
+        (long, format!("map image {}..: File name too long", "n".repeat(80))),
+    ] {
+        folder.write("room.yaml", edited(ros, "IMAGE", &image));
+        folder.locsim("run room-run.yaml").code(2).stderr(contains(format!("room.yaml:1: image: {told}")));
+    }
+    folder.write("room.yaml", edited(ros, "0.65", "1e308"));
+    folder.locsim("run room-run.yaml").code(2).stderr(contains("got 0.2 and 1e308\n"));
+    for (from, to, told) in [
+        (
+            "[1.8, 1.5]",
+            "[1e300, 1.5]",
+            "point 1 of `pillar` is not allowed: [1e300, 1.5]; coordinates are metres",
+        ),
+        (
+            "[0, 0], [3.2, 0]",
+            "[0, 0], [3.2, 2.5]",
+            "outline: edges 0 and 6 of `room` cross each other; an outline has one inside",
+        ),
+    ] {
+        folder.write("room.yaml", edited(&room, from, to));
+        folder.locsim("run room-run.yaml").code(2).stderr(contains(told));
+    }
+    folder.write("room.yaml", "outline: {points_m: [[0, 0], [5, 0], [10, 0]]}\n");
+    refused(
+        &folder,
+        "run room-run.yaml",
+        "room.yaml:1: outline: `outline` has no area: its points lie on one line",
+    );
+    folder.write("room.yaml", room + "walls:\n  - {name: far, from_m: [1e6, 1], to_m: [1e6, 2]}\n");
+    refused(
+        &folder,
+        "validate room-run.yaml",
+        "room.yaml:8: walls[0].from_m: point 0 of `far` is not allowed: [1000000, 1]; at most 10000 m beyond the outline, as no \
+         laser reaches farther",
+    );
+}
+
+#[test]
+fn samples_above_the_greatest_of_an_image() {
+    let folder = Folder::new();
+    ros_map(&folder, 0, 254, "negate: 0\n");
+    let image = folder.read("floor.pgm");
+    let as_said = [b"P5\n36 22\n100\n", &image[image.len() - 36 * 22..]].concat();
+    folder.write("floor.pgm", as_said);
+    folder.write("s.yaml", edited(SCENARIO, "room.yaml", "floor.yaml"));
+    refused(
+        &folder,
+        "run s.yaml",
+        "floor.yaml:1: image: map image floor.pgm: it has a sample of 254; at most 100, the greatest that its header tells",
     );
 }
 
@@ -322,7 +521,7 @@ fn maps_of_other_kinds() {
         (
             "sigma_m: 0.01",
             "sigma_m: -1",
-            "sigma_m: `sigma_m` of `wall-0`: -1 is not allowed; a length of 0 or more (m)",
+            "sigma_m: `sigma_m` of `wall-0`: -1 is not allowed; a length of 0 to 10000000 (m)",
         ),
     ] {
         folder.write("room.yaml", edited(walls, from, to));
@@ -409,6 +608,50 @@ fn a_path_through_a_wall() {
             "s.yaml:9: robot.path.waypoints.points_m: after 0.80 s the path crosses a wall of room.yaml",
         ));
     }
+}
+
+/// What is sound by itself, and isn't possible with the rest of the scenario.
+#[test]
+fn impossible_together() {
+    for (from, to, message) in [
+        (
+            "max_range_m: 3,",
+            "max_range_m: 3, resolution_m: 10000,",
+            "s.yaml:11: laser.resolution_m: 10000 is not allowed; at most laser.max_range_m, which is 3",
+        ),
+        (
+            "start: {tracking: {sigma_m: 0.1, sigma_deg: 3}}",
+            "start: {around: {x_m: 1000000, y_m: 1, heading_deg: 0}}",
+            "s.yaml:17: filter.start.around.x_m: 1000000 is not allowed; 0 to 3.6, the map's extent",
+        ),
+        (
+            "training:",
+            "expect: {classic: {lost_share: {max: -1}}}\ntraining:",
+            "s.yaml:12: expect.classic.lost_share.max: -1 is not allowed; a share from 0 to 1",
+        ),
+    ] {
+        refused_scenario(from, to, message);
+    }
+    // The path is free, and a start that is moved by 16 m isn't.
+    let folder = Folder::new();
+    folder.write("s.yaml", edited(SCENARIO, "robot:\n", "robot:\n  start_jitter_m: 16\n"));
+    let call = folder.locsim("run s.yaml --trials 1").code(2);
+    call.stderr(starts_with("error: s.yaml:9: robot.start_jitter_m: 16 is not allowed; with a start that is moved by up to so much, at "))
+        .stderr(contains("outside the map's free space; 0, or what the path has room for"));
+    folder.write("s.yaml", edited(SCENARIO, "max_range_m: 3,", "max_range_m: 3, mount: {x_m: 10000},"));
+    refused(
+        &folder,
+        "run s.yaml",
+        "s.yaml:13: models: `classic` can't be fitted: none of the training readings is of a wall of the map: are map and laser in metres, \
+         and does the laser reach the walls?",
+    );
+    let room = String::from_utf8(folder.read("room.yaml")).unwrap();
+    folder.write("room.yaml", room + "walls:\n  - {name: screen, from_m: [0.6, 0.9], to_m: [2.6, 0.9]}\n");
+    folder
+        .locsim("validate room-run.yaml")
+        .code(2)
+        .stderr(contains("room-run.yaml:9: robot.path.waypoints.points_m: after "))
+        .stderr(contains("the path crosses a wall of room.yaml"));
 }
 
 #[test]

@@ -83,7 +83,10 @@ fn manual(name: Option<&str>) -> anyhow::Result<u8> {
         None => program,
         Some(name) => program
             .find_subcommand(name)
-            .with_context(|| format!("{name} is not a command of locsim"))?
+            .with_context(|| {
+                let commands: Vec<&str> = program.get_subcommands().map(clap::Command::get_name).collect();
+                format!("`{}` is not a command of locsim; allowed: {}", quoted(name), commands.join(", "))
+            })?
             .clone(),
     };
     let mut page = Vec::new();
@@ -246,12 +249,6 @@ fn validate(files: &[PathBuf]) -> anyhow::Result<u8> {
 
 /// Checks a scenario, a study or a sweep, and describes its content. A scenario's log and map are read.
 fn validate_one(path: &Path) -> anyhow::Result<String> {
-    if std::fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
-        anyhow::bail!(
-            "{}: a file is needed; this is a pipe or a device, and it is read more than once",
-            path.display()
-        );
-    }
     Ok(if study::is_study(path)? {
         let study = study::Study::load(path, StudyOverrides::default())?;
         let [models, repeats] = [study.models().len(), study.repeats() as usize];
@@ -443,6 +440,7 @@ fn map(arguments: &Map) -> anyhow::Result<u8> {
     let name = image_name(&image)?;
     let source = map_source(arguments, share)?;
     let inputs = [arguments.log.clone(), source.log.clone()];
+    check_stem(&arguments.out, &inputs)?;
     let outputs = [&image, &yaml, &walls, &picture].map(|path| Output {
         path,
         force: arguments.force,
@@ -490,6 +488,19 @@ fn map_files<const N: usize>(out: &Path, extensions: [&str; N]) -> [PathBuf; N] 
     })
 }
 
+/// Checks that files may be called by `--out` and endings: it has a name of its own, and isn't that of a folder, a device or an input.
+fn check_stem(out: &Path, inputs: &[PathBuf]) -> anyhow::Result<()> {
+    let text = out.to_string_lossy();
+    let is_name = out.file_name().is_some() && !text.ends_with('/') && !text.ends_with("/.");
+    ensure!(
+        is_name,
+        "--out: `{}` is not allowed; a name that the map's files are called by, such as floor",
+        quoted(&text)
+    );
+    // A file of that name stays beside those that are written.
+    Ok(Output { path: out, force: true, inputs }.check()?)
+}
+
 /// The name of a map's image, which its description holds.
 fn image_name(image: &Path) -> anyhow::Result<&str> {
     let name = image.file_name().context("--out needs a file name")?;
@@ -512,6 +523,7 @@ fn convert(arguments: &Convert) -> anyhow::Result<u8> {
         file.display()
     );
     let inputs = [file.clone()];
+    check_stem(out, &inputs)?;
     let [image, yaml] = map_files(out, [".pgm", ".yaml"]);
     let outputs = [&image, &yaml].map(|path| Output { path, force: *force, inputs: &inputs });
     for output in &outputs {
@@ -610,6 +622,12 @@ fn map_source(arguments: &Map, share: Option<[f64; 2]>) -> anyhow::Result<MapSou
 
 fn init(arguments: &Init) -> anyhow::Result<u8> {
     let Init { log, out, map, force, log_options: options } = arguments;
+    let ending = out.extension().map(|ending| ending.to_string_lossy());
+    ensure!(
+        matches!(ending.as_deref(), None | Some("yaml" | "yml")),
+        "--out: {} is not allowed; a file name that ends in .yaml or .yml",
+        out.display()
+    );
     let of_log = [locsim_dataset::log_files(log)?, vec![log.clone(), log.join("metadata.yaml")]].concat();
     let inputs: Vec<PathBuf> = map.iter().cloned().chain(of_log).collect();
     let output = Output { path: out, force: *force, inputs: &inputs };

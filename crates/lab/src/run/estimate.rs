@@ -7,7 +7,7 @@ use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
 use crate::LabError;
 use locsim_mcl::{KldOptions, PRUNED_AFTER, ParticleCount};
-use locsim_scenario::{Estimate as PoseEstimate, ModelName, RayCast, Scenario, Source};
+use locsim_scenario::{Estimate as PoseEstimate, ModelName, RayCast, Scenario, Simulation, Source};
 
 /// Bytes of a training reading in all the forms that it has at once: as scanned, in the training set, as the list of
 /// readings and beams that a mixture is fitted to (40 bytes).
@@ -24,6 +24,9 @@ const BYTES_OF_ANCESTOR: f64 = 36.0;
 const BYTES_OF_ROW: [f64; 2] = [300.0, 1500.0];
 /// Bytes of a model's table, in the square of its readings: half as many nominal ranges again, by 16 incidences, of two bytes.
 const BYTES_OF_TABLE: f64 = 48.0;
+/// Bytes of a simulated scan and of its messages in a log, and of each of its readings in both.
+const BYTES_OF_WRITTEN_SCAN: f64 = 2000.0;
+const BYTES_OF_WRITTEN_READING: f64 = 16.0;
 /// Bytes of the program itself, its tables and figures.
 const BYTES_OF_PROGRAM: f64 = 150e6;
 
@@ -61,10 +64,7 @@ impl Estimate {
         let beams = simulated.map_or(360.0, |simulation| f64::from(simulation.laser.beams));
         let training_beams = training.beams.map_or(beams, f64::from).min(beams);
         let filter_beams = scenario.filter.beams.map_or(beams, f64::from).min(beams);
-        let steps = simulated.and_then(|simulation| {
-            let path = Trajectory::new(&simulation.robot.path).ok()?;
-            Some((path.duration_secs() * simulation.laser.rate_hz).floor() + 1.0)
-        });
+        let steps = simulated.and_then(steps_of);
         let particles = match scenario.filter.particles {
             ParticleCount::Fixed(count) => count as f64,
             ParticleCount::Kld(KldOptions { max, .. }) => max as f64,
@@ -132,6 +132,15 @@ impl Estimate {
         Self { memory_bytes, cpu_secs, largest: largest.unwrap_or(of_report) }
     }
 
+    /// The estimate for `locsim simulate`, which holds the whole log of one trial.
+    pub fn of_simulated_log(simulation: &Simulation) -> Self {
+        let scans = steps_of(simulation).unwrap_or(0.0);
+        let bytes =
+            scans * (BYTES_OF_WRITTEN_SCAN + BYTES_OF_WRITTEN_READING * f64::from(simulation.laser.beams));
+        let memory_bytes = BYTES_OF_PROGRAM + bytes;
+        Self { memory_bytes, cpu_secs: None, largest: ("laser.rate_hz x laser.beams", bytes) }
+    }
+
     /// Refuses a run that needs more memory than there is.
     ///
     /// # Errors
@@ -164,6 +173,12 @@ impl Estimate {
             None => memory,
         }
     }
+}
+
+/// How many scans a simulated drive has; `None` for a path that is refused.
+fn steps_of(simulation: &Simulation) -> Option<f64> {
+    let path = Trajectory::new(&simulation.robot.path).ok()?;
+    Some((path.duration_secs() * simulation.laser.rate_hz).floor() + 1.0)
 }
 
 /// Memory that a process can still get \[bytes\]: the machine's, its control group's, or what `ulimit -v` leaves it.

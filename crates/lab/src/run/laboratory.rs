@@ -4,12 +4,14 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use locsim_core::limits::number;
 use locsim_core::{
     DistanceMap, Draw, Drive, DriveStep, EndpointGrid, Obstructions, Particles, Pose2, RangeMap, Stage,
     Survival,
 };
 use locsim_dataset::{LogKind, OdometryError};
 use locsim_report::results::Disagreement;
+use locsim_sensor::SensorError;
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions, Vicinity};
 use locsim_world::simulation::{
@@ -19,6 +21,7 @@ use rand::RngExt;
 
 use super::coverage::{against_odometry, outside_of_map, unlike_map, unmapped_start, untrained_states};
 use super::disagreement::disagreements;
+use super::estimate::Estimate;
 use super::filter::{calibrated, fitted_alpha};
 use super::measured_log::{
     MeasuredLog, enough_to_train_on, judged, log_map, measured_scans, selected, unusable,
@@ -204,7 +207,8 @@ impl<'a> Laboratory<'a> {
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
-            train(&scenario.models, &data, &surroundings, training.held_out_share, beams, seed, progress)?;
+            train(&scenario.models, &data, &surroundings, training.held_out_share, beams, seed, progress)
+                .map_err(untrainable(scenario))?;
         let notes = vec![format!(
             "Every fitted model was trained on the same {} scan poses with {} observations of each of their {} beams; \
              {:.0} % of the poses were held out to choose bandwidths, floors and exponents.",
@@ -258,7 +262,8 @@ impl<'a> Laboratory<'a> {
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
-            train(&scenario.models, &data, &surroundings, training.held_out_share, beams, seed, progress)?;
+            train(&scenario.models, &data, &surroundings, training.held_out_share, beams, seed, progress)
+                .map_err(untrainable(scenario))?;
         let localized: Vec<DriveStep> = localized.into_iter().map(|i| drive.steps[i].clone()).collect();
         let mut notes = vec![
             summary.to_string().replace('\n', "; "),
@@ -379,12 +384,19 @@ impl<'a> Laboratory<'a> {
 /// Simulates the drive of one trial without training anything, with all beams of the laser.
 ///
 /// # Errors
-/// [`LabError::Log`] if the scenario is of a measured log; what is wrong with map, world or path.
+/// [`LabError::Log`] if the scenario is of a measured log; a trial that the scenario hasn't; a drive that needs more memory than there
+/// is; what is wrong with map, world or path.
 pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, LabError> {
     let Source::Simulation(simulation) = &scenario.source else {
         let what = "a scenario of a measured log has nothing to simulate".to_owned();
         return Err(LabError::Log { path: scenario.file.clone(), what });
     };
+    if trial >= scenario.trials {
+        let (last, trials) = (scenario.trials - 1, scenario.trials);
+        let what = format!("{trial} is not allowed; 0 to {last}, as the scenario has `trials: {trials}`");
+        return Err(scenario.refusal("--trial", what).into());
+    }
+    Estimate::of_simulated_log(simulation).check(scenario)?;
     let maps = MapSet::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, None, None, &())
         .map_err(unusable(&simulation.map))?;
     let world = world(simulation, &maps).map_err(refused(scenario))?;
@@ -399,10 +411,38 @@ pub(super) fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<
     Ok(TrialDrive { drive: simulated.drive, blocks })
 }
 
-/// Attaches the scenario's file to what the simulator refuses.
+/// Attaches the scenario's file to what the simulator refuses, and the key where one is to blame.
 pub fn refused(scenario: &Scenario) -> impl FnOnce(SimulationError) -> LabError {
-    let path = scenario.file.clone();
-    move |source| LabError::Simulation { path, source }
+    move |source| {
+        let jitter = match &scenario.source {
+            Source::Simulation(simulation) => simulation.robot.start_jitter_m,
+            Source::Log(_) => 0.0,
+        };
+        match source {
+            // The path itself was looked at when the scenario was loaded.
+            SimulationError::OutsideFreeSpace { .. } if jitter > 0.0 => {
+                let jitter = number(jitter);
+                let what = format!(
+                    "{jitter} is not allowed; with a start that is moved by up to so much, {source}; 0, or what the path has room for"
+                );
+                scenario.refusal("robot.start_jitter_m", what).into()
+            }
+            SimulationError::TooMany { what: "scans", .. } => {
+                scenario.refusal("laser.rate_hz", format!("{source}; a lower rate, or a shorter path")).into()
+            }
+            source => LabError::Simulation { path: scenario.file.clone(), source },
+        }
+    }
+}
+
+/// Attaches the scenario's file and key to data that a model can't be fitted to.
+fn untrainable(scenario: &Scenario) -> impl FnOnce(LabError) -> LabError {
+    move |error| match error {
+        LabError::Sensor { label, source: SensorError::TooFewData { what, .. } } => {
+            scenario.refusal("models", format!("`{label}` can't be fitted: {what}")).into()
+        }
+        other => other,
+    }
 }
 
 fn with_filter_beams(drive: Drive, scenario: &Scenario) -> Drive {

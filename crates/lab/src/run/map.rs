@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use locsim_core::Drive;
+use locsim_core::limits::number;
 use locsim_dataset::{DriveQuality, LogOptions, LogSummary, read_log};
 use locsim_mapping::{
     Agreement, HeldOutReading, MapCheck, MappingOptions, check_maps, occupancy_from_drive, walls_from_drive,
@@ -12,7 +14,7 @@ use locsim_report::figures::geometry::{Point, Window};
 use locsim_report::figures::map::{LEFT, MARGINS, MapPanel};
 use locsim_report::{ReportError, TextTable, palette};
 use locsim_scenario::yaml;
-use locsim_world::map::{ImageFormat, MeasuredMap, OccupancyGrid};
+use locsim_world::map::{FARTHEST_M, ImageFormat, MeasuredMap, OccupancyGrid};
 use plotters::prelude::{Color, RGBColor};
 
 use super::corrected::corrected;
@@ -48,7 +50,8 @@ impl LogMaps {
     /// Builds both maps from the given shares of a log.
     ///
     /// # Errors
-    /// [`LabError::Dataset`] for a log that can't be read, [`LabError::Map`] when no map can be made of it.
+    /// [`LabError::Dataset`] for a log that can't be read, [`LabError::Log`] for shares of no scan and for reference poses beyond any
+    /// map, [`LabError::Map`] when no map can be made of it.
     pub fn from_log(
         log: &Path,
         shares: &[[f64; 2]],
@@ -60,14 +63,42 @@ impl LogMaps {
             let what = no_reference(&summary.topics, &summary.transforms);
             return Err(LabError::Log { path: log.to_owned(), what });
         }
-        let doubts = doubts(&DriveQuality::of(&drive, &summary));
+        check_steps(&drive, shares).map_err(|what| LabError::Log { path: log.to_owned(), what })?;
+        let mut doubts = doubts(&DriveQuality::of(&drive, &summary));
         let (drive, _) = corrected(drive);
         let options = MappingOptions { resolution_m, ..MappingOptions::default() };
         let steps = selected(&drive, shares);
         let grid = occupancy_from_drive(&drive, &steps, &options).map_err(unusable(log))?;
         let walls = walls_from_drive(&drive, &steps, &options).map_err(unusable(log))?;
         let check = check_maps(&drive, &steps, &options).map_err(unusable(log))?;
+        if walls.walls.is_empty() {
+            doubts.push(format!(
+                "The map of walls has no wall, as the readings of its scans ({}) lie on no line. More scans, or a laser with more beams, are needed.",
+                steps.len()
+            ));
+        }
         Ok(Self { grid, walls, check, summary, doubts })
+    }
+}
+
+/// Checks that the shares of a drive hold a scan, and that a map can hold its reference poses.
+fn check_steps(drive: &Drive, shares: &[[f64; 2]]) -> Result<(), String> {
+    let count = drive.steps.len();
+    if shares.iter().map(|[from, to]| to - from).sum::<f64>() * (count as f64) < 1.0 {
+        let shares: Vec<String> = shares.iter().map(|share| share.map(number).join(",")).collect();
+        return Err(format!(
+            "the share {} holds none of its {count} scans; allowed: one or more",
+            shares.join(" and ")
+        ));
+    }
+    let poses = drive.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?)));
+    match poses.into_iter().find(|(_, pose)| pose.x.abs().max(pose.y.abs()) > FARTHEST_M) {
+        None => Ok(()),
+        Some((secs, pose)) => Err(format!(
+            "the reference pose at {secs:.3} s is at [{}, {}]; allowed: metres, at most {FARTHEST_M} either way",
+            number(pose.x),
+            number(pose.y)
+        )),
     }
 }
 
