@@ -213,7 +213,10 @@ fn numbers_that_arithmetic_cannot_bear_are_refused() {
         (scan_with(&|scan| scan.angle_min = f32::NAN), "angle_min is NaN rad"),
         (scan_with(&|scan| scan.time_increment = 1e10), "time_increment is 10000000000; allowed"),
         (scan_with(&|scan| scan.time_increment = 9e8), "time of a beam is 1800000000; allowed"),
-        (scan_with(&|scan| scan.range_max = 1e-30), "maximum range is 1e-30 m; allowed: 0.001 to 10000 m"),
+        (
+            scan_with(&|scan| (scan.range_min, scan.range_max) = (0.0, 1e-30)),
+            "maximum range is 1e-30 m; allowed: 0.001 to 10000 m",
+        ),
         (
             scan_with(&|scan| scan.range_max = f32::MAX),
             "maximum range is 3.4028235e38 m; allowed: 0.001 to 10000 m",
