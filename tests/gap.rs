@@ -49,6 +49,22 @@ fn folder() -> Folder {
     folder
 }
 
+/// What `gap` would refuse or remark on before it searches, in a second.
+#[test]
+fn a_scenario_is_held_against_a_log_before_a_search() {
+    let folder = folder();
+    let fits = folder.locsim("validate nominal.yaml --log measured.log").success();
+    assert!(output(&fits).starts_with("nominal.yaml: valid, and of the same laser as measured.log"));
+    folder.write("other.yaml", edited(NOMINAL, "beams: 24", "beams: 36"));
+    folder.locsim("validate other.yaml").success();
+    folder.locsim("validate other.yaml --log measured.log").code(2).stderr(contains("laser.beams"));
+    folder.locsim("validate nominal.yaml --scan-topic /scan").code(2).stderr(contains("needs --log"));
+    folder
+        .locsim("validate nominal.yaml other.yaml --log measured.log")
+        .code(2)
+        .stderr(contains("one scenario"));
+}
+
 #[test]
 fn the_missing_effect_is_named_and_added() {
     let folder = folder();

@@ -420,5 +420,8 @@ fn a_manual_page_has_every_option_of_its_command() {
     for option in ["resume", "trials", "cache", "limit"] {
         assert!(run.contains(&format!(r"\-\-{option}")), "{option} is not in\n{run}");
     }
-    folder.locsim("manual drive").code(2).stderr(contains("drive is not a command of locsim"));
+    folder
+        .locsim("manual drive")
+        .code(2)
+        .stderr(contains("`drive` is not a command of locsim; allowed: run, study"));
 }

@@ -36,11 +36,7 @@ pub enum Command {
     /// Merge the shards of a sweep or a run into the results that one machine would have written
     Merge(Merge),
     /// Check scenarios, studies and sweeps without running them
-    Validate {
-        /// Scenario, study and sweep files
-        #[arg(required = true)]
-        scenarios: Vec<PathBuf>,
-    },
+    Validate(Validate),
     /// Print the JSON Schema of scenario files, for editors
     Schema {
         /// Print that of study files instead
@@ -495,6 +491,19 @@ impl LogOptions {
     }
 }
 
+/// `locsim validate`.
+#[derive(Debug, Args)]
+pub struct Validate {
+    /// Scenario, study and sweep files
+    #[arg(required = true)]
+    pub scenarios: Vec<PathBuf>,
+    /// Hold a scenario against this log as well, as `locsim gap` does before it searches: laser, mount, reference poses, map
+    #[arg(long)]
+    pub log: Option<PathBuf>,
+    #[command(flatten)]
+    pub log_options: LogOptions,
+}
+
 /// `locsim gap`.
 #[derive(Debug, Args)]
 pub struct Gap {
@@ -526,10 +535,10 @@ pub struct Gap {
     #[command(flatten)]
     pub threads: Threads,
     /// The most scans of the log that are looked at: the first ones, or with --baseline every second, third and so on
-    #[arg(long, default_value_t = 600, allow_negative_numbers = true, value_parser = whole::<usize>(GapSettings::ALLOWED_SCANS))]
+    #[arg(long, default_value_t = GapSettings::SCANS, allow_negative_numbers = true, value_parser = whole::<usize>(GapSettings::ALLOWED_SCANS))]
     pub scans: usize,
     /// The most beams of a scan that are looked at, evenly spread
-    #[arg(long, default_value_t = 72, allow_negative_numbers = true, value_parser = whole::<usize>(GapSettings::ALLOWED_BEAMS))]
+    #[arg(long, default_value_t = GapSettings::BEAMS, allow_negative_numbers = true, value_parser = whole::<usize>(GapSettings::ALLOWED_BEAMS))]
     pub beams: usize,
     /// Effects that are left out of the library, separated by commas
     #[arg(long, value_name = "EFFECT", value_delimiter = ',', value_parser = EffectName, hide_possible_values = true)]

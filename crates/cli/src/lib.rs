@@ -26,7 +26,9 @@ use locsim_scenario::{self as scenario, LogMap, Overrides, Scenario, Source, cat
 use locsim_study::{self as study, StudyOptions, StudyOverrides};
 use locsim_terminal::{BAD_INPUT, DONE, Failure, OutputOptions, Session, columns, complain, exit_code, say};
 
-use arguments::{Apply, Arguments, Command, Convert, Gap, Init, Inspect, Map, Record, Run, Simulate};
+use arguments::{
+    Apply, Arguments, Command, Convert, Gap, Init, Inspect, Map, Record, Run, Simulate, Validate,
+};
 
 /// A bound that the scenario declares was missed.
 const MISSED: u8 = 1;
@@ -53,7 +55,7 @@ fn obey(command: &Command, program: &Path) -> Result<u8, Failure> {
         Command::Study(arguments) => run_studies(arguments)?,
         Command::Sweep(arguments) => sweep::run(arguments, program)?,
         Command::Merge(arguments) => sweep::merge(arguments)?,
-        Command::Validate { scenarios } => validate(scenarios)?,
+        Command::Validate(arguments) => validate(arguments)?,
         Command::Schema { study, sweep } => print_schema(*study, *sweep)?,
         Command::Effects { name } => effects(name.as_deref())?,
         Command::Simulate(arguments) => simulate(arguments)?,
@@ -233,9 +235,21 @@ fn recorder(record: Record, scenario: &str) -> Option<Box<Recorder<'static>>> {
     }
 }
 
-fn validate(files: &[PathBuf]) -> anyhow::Result<u8> {
+fn validate(arguments: &Validate) -> anyhow::Result<u8> {
+    if let Some(log) = &arguments.log {
+        let [scenario] = &arguments.scenarios[..] else {
+            anyhow::bail!(
+                "--log: one scenario is held against a log, and {} are given",
+                arguments.scenarios.len()
+            );
+        };
+        return validate_against(scenario, log, &arguments.log_options);
+    }
+    if let Some(option) = arguments.log_options.first_given() {
+        anyhow::bail!("{option} is about a log; it needs --log");
+    }
     let mut refused = false;
-    for path in files {
+    for path in &arguments.scenarios {
         match validate_one(path) {
             Ok(content) => say(&format!("{}: valid ({content})", path.display()))?,
             Err(error) => {
@@ -245,6 +259,14 @@ fn validate(files: &[PathBuf]) -> anyhow::Result<u8> {
         }
     }
     Ok(if refused { BAD_INPUT } else { DONE })
+}
+
+/// Checks that a log can be held against a scenario, and says how it is read.
+fn validate_against(scenario: &Path, log: &Path, options: &arguments::LogOptions) -> anyhow::Result<u8> {
+    let study = GapStudy::load(scenario, Some(log), GapSettings::of_log(log_options(options)))?;
+    study.remarks().for_each(|remark| complain(&format!("note: {remark}")));
+    say(&format!("{}: valid, and of the same laser as {}", scenario.display(), log.display()))?;
+    Ok(DONE)
 }
 
 /// Checks a scenario, a study or a sweep, and describes its content. A scenario's log and map are read.
@@ -622,16 +644,16 @@ fn map_source(arguments: &Map, share: Option<[f64; 2]>) -> anyhow::Result<MapSou
 
 fn init(arguments: &Init) -> anyhow::Result<u8> {
     let Init { log, out, map, force, log_options: options } = arguments;
+    let of_log = [locsim_dataset::log_files(log)?, vec![log.clone(), log.join("metadata.yaml")]].concat();
+    let inputs: Vec<PathBuf> = map.iter().cloned().chain(of_log).collect();
+    let output = Output { path: out, force: *force, inputs: &inputs };
+    output.check()?;
     let ending = out.extension().map(|ending| ending.to_string_lossy());
     ensure!(
         matches!(ending.as_deref(), None | Some("yaml" | "yml")),
         "--out: {} is not allowed; a file name that ends in .yaml or .yml",
         out.display()
     );
-    let of_log = [locsim_dataset::log_files(log)?, vec![log.clone(), log.join("metadata.yaml")]].concat();
-    let inputs: Vec<PathBuf> = map.iter().cloned().chain(of_log).collect();
-    let output = Output { path: out, force: *force, inputs: &inputs };
-    output.check()?;
     let cell_m = match map {
         Some(map) => scenario::load_map(map)?.cell_m,
         None => None,

@@ -2,7 +2,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::{CAST_REACH, Pose2, Track, TrackError, median};
+use crate::{CAST_REACH, Pose2, Track, TrackError, median, wrap_angle};
 
 /// Reasons for which a laser's description is refused.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -190,6 +190,8 @@ const FROZEN_SECS: f64 = 1.0;
 const FROZEN_M: f64 = 0.1;
 /// A reference that has one pose for so long while the odometry comes so far away \[m\] isn't recorded: an odometry at rest jitters.
 const AWAY_M: f64 = 0.3;
+/// No robot moves as evenly as this \[m, rad\], but what is drawn between two poses.
+const EVENLY: f64 = 1e-6;
 
 /// A recorded drive, simulated or measured: one laser, many steps.
 #[derive(Clone, Debug, PartialEq)]
@@ -297,29 +299,49 @@ impl Drive {
         all
     }
 
-    /// Takes the reference from scans at which it stood still for a second or more while the odometry came 0.3 m away: the last pose was sent
-    /// again. The scan after them loses it, too, as its pose may lie between the last one and the next. Returns how long that was
-    /// \[s\], and how far the odometry came \[m\].
+    /// Takes the reference from scans at which it stood still, or crept at one speed, for a second or more while the odometry came 0.3 m farther
+    /// away: the last pose was sent again, or what lies between two poses was drawn where the clock was set forward. The scan after them loses it,
+    /// too, as its pose may lie between the last one and the next. Returns how long that was \[s\], and how far the odometry came \[m\].
     pub fn drop_frozen_reference(&mut self) -> [f64; 2] {
         let mut all = [0.0; 2];
         let mut first = 0;
         for i in 1..=self.steps.len() {
-            let of_first = self.steps[first].reference;
-            if of_first.is_some() && self.steps.get(i).is_some_and(|step| step.reference == of_first) {
+            if self.goes_on_evenly(first, i) {
                 continue;
             }
-            let from = self.steps[first].odometry.position();
+            let from = &self.steps[first];
             let stretch = &self.steps[first..i];
-            let away = stretch.iter().map(|step| step.odometry.position().distance(from)).fold(0.0, f64::max);
-            let stood = [stretch[stretch.len() - 1].stamp_secs - stretch[0].stamp_secs, away];
-            if of_first.is_some() && stood[0] >= FROZEN_SECS && away >= AWAY_M {
+            let away = stretch.iter().map(|step| step.odometry.position().distance(from.odometry.position()));
+            let away = away.fold(0.0, f64::max);
+            let stood = [stretch[stretch.len() - 1].stamp_secs - from.stamp_secs, away];
+            let crept = from.reference.zip(stretch[stretch.len() - 1].reference);
+            let crept = crept.map(|(from, to)| from.position().distance(to.position()));
+            let is_frozen = crept.is_some_and(|crept| crept <= FROZEN_M && away >= crept + AWAY_M);
+            if is_frozen && stood[0] >= FROZEN_SECS {
                 let after = self.steps.len().min(i + 1);
                 self.steps[first + 1..after].iter_mut().for_each(|step| step.reference = None);
                 all.iter_mut().zip(stood).for_each(|(sum, more)| *sum += more);
             }
-            first = i;
+            // Any two poses have one speed: it may be that of what comes after them.
+            first = if i == first + 2 { i - 1 } else { i };
         }
         all
+    }
+
+    /// Whether the reference is at scan `i` where it comes from scan `first` at the speed of that scan's interval.
+    fn goes_on_evenly(&self, first: usize, i: usize) -> bool {
+        let at = |i: usize| {
+            let step = self.steps.get(i)?;
+            Some((step.stamp_secs, step.reference?))
+        };
+        let Some(((t0, from), (t, pose))) = at(first).zip(at(i)) else { return false };
+        if pose == from {
+            return true;
+        }
+        let Some((t1, next)) = at(first + 1).filter(|(t1, _)| *t1 > t0) else { return false };
+        let expected = from.interpolate(&next, (t - t0) / (t1 - t0));
+        pose.position().distance(expected.position()) < EVENLY
+            && wrap_angle(pose.theta - expected.theta).abs() < EVENLY
     }
 
     /// The reference poses of the scans that have one.
@@ -421,6 +443,21 @@ mod tests {
         let without: Vec<usize> =
             (0..moving.steps.len()).filter(|&i| moving.steps[i].reference.is_none()).collect();
         assert_eq!(without, (21..=40).collect::<Vec<_>>());
+        // The clock of the reference is set forward at scan 30: what is drawn from there to a pose 5 cm farther and 100 s later.
+        let mut set_forward = drive(&|i| i);
+        for (i, step) in set_forward.steps.iter_mut().enumerate().skip(30) {
+            step.reference = Some(Pose2::new(3.0 + 0.05 * (i - 30) as f64 / 1000.0, 0.0, 0.0));
+        }
+        let [secs, metres] = set_forward.drop_frozen_reference();
+        assert!(secs > 2.5 && metres > 2.5, "{secs} {metres}");
+        let has_reference = |i: usize| set_forward.steps[i].reference.is_some();
+        assert!((0..=30).all(has_reference) && !(32..60).any(has_reference));
+        // Wheels that slip beside a reference that is measured.
+        let mut slipping = drive(&|i| i);
+        for (i, step) in slipping.steps.iter_mut().enumerate() {
+            step.reference = Some(Pose2::new(0.001 * i as f64 + 1e-4 * (i * i % 7) as f64, 0.0, 0.0));
+        }
+        assert_eq!(slipping.drop_frozen_reference(), [0.0; 2]);
         // An odometry that jitters beside a reference at rest.
         let mut waiting = drive(&|i| 20 + i % 3);
         waiting.steps.iter_mut().for_each(|step| step.reference = known);

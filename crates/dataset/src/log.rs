@@ -130,8 +130,8 @@ pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive
     let [secs, metres] = drive.drop_frozen_reference();
     if secs > 0.0 {
         summary.remarks.push(format!(
-            "The reference stands still for {secs:.1} s, in which the odometry comes {metres:.2} m away: its scans count as without a \
-             reference."
+            "The reference stands still or creeps evenly for {secs:.1} s, in which the odometry comes {metres:.2} m away: its scans count as \
+             without a reference."
         ));
     }
     summary.remarks.extend(unlikely_units(&drive));

@@ -72,12 +72,29 @@ impl GapSettings {
     pub const REPLICATES: u32 = 999;
     /// Permutations beside a baseline, unless the user says otherwise.
     pub const PERMUTATIONS: u32 = 399;
+    /// The most scans that are looked at, unless the user says otherwise.
+    pub const SCANS: usize = 600;
+    /// The most beams of a scan that are looked at, unless the user says otherwise.
+    pub const BEAMS: usize = 72;
     /// The least and the greatest number of replicates: a p-value of .05, and one of a hundred thousandth.
     pub const ALLOWED_REPLICATES: [u64; 2] = [19, 100_000];
     /// The least and the greatest number of scans that a search looks at.
     pub const ALLOWED_SCANS: [u64; 2] = [locsim_gap::LEAST_SCANS as u64, u32::MAX as u64];
     /// The least and the greatest number of beams that a search looks at.
     pub const ALLOWED_BEAMS: [u64; 2] = [1, u32::MAX as u64];
+
+    /// The settings of a search, unless the user says otherwise, with how its log is read.
+    pub fn of_log(log: LogOptions) -> Self {
+        Self {
+            replicates: Self::REPLICATES,
+            seed: None,
+            scans: Self::SCANS,
+            beams: Self::BEAMS,
+            without: Vec::new(),
+            log,
+            baseline: None,
+        }
+    }
 
     /// Whether the numbers make sense.
     ///
@@ -271,7 +288,7 @@ impl GapStudy {
     }
 
     /// How the logs were read, and what is odd about them.
-    fn remarks(&self) -> impl Iterator<Item = String> {
+    pub fn remarks(&self) -> impl Iterator<Item = String> {
         self.notes.iter().chain(&self.warnings).cloned()
     }
 
