@@ -285,7 +285,7 @@ fn flat_noise(drive: &Drive, resolution_m: Option<f64>) -> Option<Noise> {
             let alike = |range: f32| (range - middle).abs() < ONE_WALL * middle;
             if middle > 0.0 && middle < max && alike(left) && alike(right) && left < max && right < max {
                 let [left, middle, right] = [left, middle, right].map(f64::from);
-                let apart = 0.5 * f64::from(bearings[2] - bearings[0]);
+                let apart = 0.5 * f64::from((bearings[2] - bearings[0]).abs());
                 let on_line = 2.0 * apart.cos() / (1.0 / left + 1.0 / right);
                 residuals.push((middle - on_line).abs());
                 if (right - left).abs() <= 2.0 * apart * middle {

@@ -145,12 +145,25 @@ fn growth_of_the_noise_comes_from_the_readings() {
     let still = DriveQuality::of(&moving, &summary()).readings;
     moving.steps.drain(..31);
     let flat = DriveQuality::of(&moving, &summary()).readings;
-    for readings in [still, flat] {
+    for readings in [&still, &flat] {
         let [constant, growth] = readings.noise_by_range.unwrap();
         near(Some(constant), 0.005, 0.0025);
         near(Some(growth), 0.003, 0.001);
     }
     assert_eq!(quality(PLAIN).readings.noise_by_range, None);
+    // The same beams of a laser that turns clockwise.
+    let reversed = |values: &[f32]| values.iter().rev().copied().collect::<Vec<f32>>();
+    let laser = &moving.laser;
+    let laser = Laser::new(
+        reversed(laser.bearings()),
+        reversed(laser.beam_times_secs()),
+        laser.min_range(),
+        laser.max_range(),
+        laser.base_from_laser(),
+    );
+    moving.laser = laser.unwrap();
+    moving.steps.iter_mut().for_each(|step| step.scan.ranges.reverse());
+    assert_eq!(DriveQuality::of(&moving, &summary()).readings.noise_by_range, flat.noise_by_range);
 }
 
 /// Walls as rough as neighbours are apart: it isn't the laser that errs by nothing near them, and by more and more farther off.
