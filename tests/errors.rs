@@ -361,12 +361,6 @@ fn names_of_what_is_written() {
 #[test]
 fn what_a_log_or_a_scenario_has_not() {
     let folder = Folder::new();
-    folder.locsim("simulate room-run.yaml --out drive.log --trial 2").success();
-    refused(
-        &folder,
-        "simulate room-run.yaml --out t.log --trial 3",
-        "room-run.yaml: --trial: 3 is not allowed; 0 to 2, as the scenario has `trials: 3`",
-    );
     let call = folder.locsim("simulate room-run.yaml --out t.log --limit memory_bytes=1000000").code(2);
     call.stderr(starts_with("error: room-run.yaml:11: laser.rate_hz: the run needs "))
         .stderr(contains("the limit is 1.0 MB (`--limit memory_bytes="));

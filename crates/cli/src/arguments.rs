@@ -284,7 +284,7 @@ pub struct Simulate {
     /// Replace the log if it is there
     #[arg(long)]
     pub force: bool,
-    /// Which trial of the scenario to write
+    /// Which trial of the scenario to write; those beyond its `trials` are further drives of the same kind
     #[arg(long, default_value_t = 0, allow_negative_numbers = true, value_parser = whole::<u32>([0, u32::MAX.into()]))]
     pub trial: u32,
     /// Seed, instead of the scenario's

@@ -96,7 +96,7 @@ const CORRECTED_M: f64 = 0.001;
 const RECASTS: usize = 2;
 /// Such steps in which readings that are far off count, and by how much the first of them changes errors where such readings say something \[m\].
 const FAR_CORRECTIONS: usize = 4;
-const FAR_M: f64 = 0.01;
+const FAR_M: f64 = 0.002;
 /// Errors that lie more surely than this in one pattern of an effect (standard deviations) are the effect's.
 const MOST_IN_PATTERN: f64 = 10.0;
 /// Squares of errors exceed the variance of the noise by more than this factor where there is more noise than is simulated.

@@ -434,7 +434,8 @@ fn the_same_seed_finds_the_same_on_any_number_of_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| search(&nominal, &recorded, Vec::new()))
     };
-    assert_eq!(on(1), on(2));
+    // As text: NaN, which beams without a reading have, is no equal of itself.
+    assert_eq!(format!("{:?}", on(1)), format!("{:?}", on(2)));
 }
 
 #[test]

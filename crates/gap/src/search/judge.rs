@@ -142,7 +142,7 @@ impl<'a> State<'a> {
             let is_of_frame = statistics.any(|statistic| matches!(statistic, effect::Statistic::Turn))
                 && dependences
                     .iter()
-                    .any(|other| other.deviation == Deviation::FrameTurn && other.gain() > gain);
+                    .any(|other| other.deviation == Deviation::FrameTurn && other.beats(candidate));
             // A mean that isn't quite right spreads readings.
             let is_left = candidate.kind().moves() == Moves::Distribution
                 && leading.deviation == Deviation::Mean

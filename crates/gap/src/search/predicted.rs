@@ -69,7 +69,7 @@ fn total(candidate: &Candidate) -> f64 {
     candidate.fitted_gains.iter().sum()
 }
 
-/// Whether most readings that clutter and noise hardly explain end on surfaces of the map. Random ones end there by chance alone. A beam that passes a
+/// Whether most readings that clutter and noise hardly explain end on surfaces of the map, or near their own. Random ones end there by chance alone. A beam that passes a
 /// pillar by less than the map is wrong by meets the pillar.
 fn end_on_surfaces(comparison: &Comparison<'_>, fitted: &Fitted, given: &[Effect]) -> Result<bool, GapError> {
     let effects = comparison.effects(given)?;
@@ -79,11 +79,12 @@ fn end_on_surfaces(comparison: &Comparison<'_>, fitted: &Fitted, given: &[Effect
     comparison.for_each_reading(views, &effects, fitted, |_, i, _, shift, z, terms| {
         let beam = &views.beams[i];
         let is_random = terms.measure / laser.max_range_m > UNLIKELY * terms.density;
-        if z >= laser.max_range_m || (z - beam.range() - shift).abs() < OFF_M || !is_random {
+        if z >= laser.max_range_m || !is_random {
             return;
         }
         let (end, near) = (beam.view.point_at(z), ON_SURFACE_M + laser.sigma_m + laser.sigma_per_m * z);
-        let is_on_surface = walls.iter().any(|wall| distance_to(end, wall) < near);
+        let is_of_own = (z - beam.range() - shift).abs() < OFF_M;
+        let is_on_surface = is_of_own || walls.iter().any(|wall| distance_to(end, wall) < near);
         on_surfaces[usize::from(is_on_surface)] += 1;
     });
     Ok(on_surfaces[1] > on_surfaces[0])

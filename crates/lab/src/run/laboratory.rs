@@ -384,18 +384,13 @@ impl<'a> Laboratory<'a> {
 /// Simulates the drive of one trial without training anything, with all beams of the laser.
 ///
 /// # Errors
-/// [`LabError::Log`] if the scenario is of a measured log; a trial that the scenario hasn't; a drive that needs more memory than there
+/// [`LabError::Log`] if the scenario is of a measured log; a drive that needs more memory than there
 /// is; what is wrong with map, world or path.
 pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, LabError> {
     let Source::Simulation(simulation) = &scenario.source else {
         let what = "a scenario of a measured log has nothing to simulate".to_owned();
         return Err(LabError::Log { path: scenario.file.clone(), what });
     };
-    if trial >= scenario.trials {
-        let (last, trials) = (scenario.trials - 1, scenario.trials);
-        let what = format!("{trial} is not allowed; 0 to {last}, as the scenario has `trials: {trials}`");
-        return Err(scenario.refusal("--trial", what).into());
-    }
     Estimate::of_simulated_log(simulation).check(scenario)?;
     let maps = MapSet::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, None, None, &())
         .map_err(unusable(&simulation.map))?;

@@ -96,15 +96,21 @@ mod tests {
     #[test]
     fn walls_too_long_to_walk_along_are_refused() {
         let wall = |metres: f64| Wall { name: "long".into(), from_m: [1.0, 1.0], to_m: [1.0 + metres, 1.0] };
-        let refusal = |walls, obstacles| faces_of(&room(walls, obstacles)).unwrap_err().to_string();
-        let error = refusal(vec![wall(1e6)], vec![]);
+        // Amid a hall that is as long.
+        let refusal = |metres: f64, obstacles| {
+            let points_m = vec![[0.0, 0.0], [metres + 2.0, 0.0], [metres + 2.0, 3.0], [0.0, 3.0]];
+            let outline = Polyline { points_m, ..Polyline::default() };
+            let map = VectorMap { outline, obstacles, walls: vec![wall(metres)] };
+            faces_of(&map.to_geometry().unwrap()).unwrap_err().to_string()
+        };
+        let error = refusal(1e6, vec![]);
         assert!(
-            error.starts_with("8000112 quarter metres of wall at which blocks may stand are more than"),
+            error.starts_with("24000080 quarter metres of wall at which blocks may stand are more than"),
             "{error}"
         );
         let zigzag = (0..10_000).map(|i| [f64::from(i), f64::from(i % 2)]).collect();
         let obstacle = Polyline { points_m: zigzag, ..Polyline::default() };
-        let error = refusal(vec![wall(2e5)], vec![obstacle]);
+        let error = refusal(2e5, vec![obstacle]);
         assert!(error.contains("quarter metres of wall times corners of the map are more than"), "{error}");
     }
 

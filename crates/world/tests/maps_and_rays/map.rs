@@ -86,7 +86,10 @@ fn wrong_vector_maps_are_refused_with_their_place() {
         "edges 0 and 2 of `outline` cross each other; an outline has one inside"
     );
     assert_eq!(
-        refused(&|map| map.outline.points_m = vec![[0.0, 0.0], [1.0, 1.0], [4.0, 4.0]]),
+        refused(&|map| {
+            let points_m = vec![[0.0, 0.0], [1.0, 1.0], [4.0, 4.0]];
+            map.outline = Polyline { points_m, ..Polyline::default() };
+        }),
         "`outline` has no area: its points lie on one line"
     );
     assert_eq!(
