@@ -110,7 +110,7 @@ mod tests {
         );
         let zigzag = (0..10_000).map(|i| [f64::from(i), f64::from(i % 2)]).collect();
         let obstacle = Polyline { points_m: zigzag, ..Polyline::default() };
-        let error = refusal(2e5, vec![obstacle]);
+        let error = refusal(1e5, vec![obstacle]);
         assert!(error.contains("quarter metres of wall times corners of the map are more than"), "{error}");
     }
 
