@@ -361,6 +361,7 @@ fn names_of_what_is_written() {
 #[test]
 fn what_a_log_or_a_scenario_has_not() {
     let folder = Folder::new();
+    folder.locsim("simulate room-run.yaml --out drive.log --trial 2").success();
     let call = folder.locsim("simulate room-run.yaml --out t.log --limit memory_bytes=1000000").code(2);
     call.stderr(starts_with("error: room-run.yaml:11: laser.rate_hz: the run needs "))
         .stderr(contains("the limit is 1.0 MB (`--limit memory_bytes="));
