@@ -322,8 +322,8 @@ impl Drive {
                 self.steps[first + 1..after].iter_mut().for_each(|step| step.reference = None);
                 all.iter_mut().zip(stood).for_each(|(sum, more)| *sum += more);
             }
-            // Any two poses have one speed: it may be that of what comes after them.
-            first = if i == first + 2 { i - 1 } else { i };
+            // The last pose of a stretch may be the first of the next.
+            first = (first + 1).max(i - 1);
         }
         all
     }
