@@ -17,7 +17,7 @@ use super::survey::Survey;
 use super::wall_cells::WallCells;
 use super::walls::{
     MOST_STRETCHES, NEAR_LINE_M, ON_LINE_M, STRETCH_GAP_M, STRETCH_LEAST_M, STRETCH_REACH_M, lines_off,
-    wall_guesses,
+    wall_guesses, with_other_face,
 };
 use super::{Family, Form, Found, Group, Halves, Readings, Start, Statistic};
 
@@ -145,7 +145,12 @@ impl Family for DisplacedWalls {
         let turned = lines_off(&self.walls, log, found).take(MOST_STRETCHES).filter_map(|(_, lines)| {
             lines.into_iter().filter_map(|line| turned(log, line)).max_by_key(|(count, _)| *count)
         });
-        starts.extend(turned.map(|(_, start)| start));
+        let turned = turned.map(|(_, start)| start).flat_map(|start| {
+            let place = with_other_face(log, start.place[0]);
+            let of_both_faces = place.map(|place| Start { values: start.values.clone(), place });
+            std::iter::once(start).chain(of_both_faces)
+        });
+        starts.extend(turned);
         starts
     }
 }
@@ -172,12 +177,15 @@ fn turned(log: &Readings<'_>, wall: Line) -> Option<(usize, Start)> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
     use std::sync::atomic::AtomicBool;
 
     use locsim_comparison::fixtures::{NOMINAL, SEED, TRUTH};
     use locsim_comparison::hidden::{Regime, record_library};
-    use locsim_comparison::{Comparison, Nuisances};
+    use locsim_comparison::{Comparison, Nominal, Nuisances};
     use locsim_world::effect::Effect;
+    use locsim_world::map::{Polyline, VectorMap};
+    use locsim_world::raycast::ExactRangeMap;
     use locsim_world::simulation::{Robot, RobotPath, simulate_drive};
 
     use super::*;
@@ -266,5 +274,40 @@ mod tests {
         let [a, b] = named.place[0].map(DVec2::from);
         let west = named.params["distance_m"].estimate.value * (b - a).y.signum();
         assert!(named.name == EffectKind::MovedWall && (west - 0.15).abs() < 0.01, "{named:?}");
+    }
+
+    /// The fixtures' room with a partition of 12 cm and 1.2 m in its middle, which stands so far to the east of its place in the map \[m\].
+    fn room_with_partition(east: f64) -> Nominal {
+        let thick = [[3.3, 1.4], [3.42, 1.4], [3.42, 2.6], [3.3, 2.6]];
+        let obstacle =
+            Polyline { points_m: thick.map(|[x, y]| [x + east, y]).to_vec(), ..Polyline::default() };
+        let room = [[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]];
+        let outline = Polyline { points_m: room.to_vec(), ..Polyline::default() };
+        let map = VectorMap { outline, obstacles: vec![obstacle], walls: Vec::new() };
+        let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
+        Nominal::new(map, NOMINAL.laser, NOMINAL.blocks, NOMINAL.odometry, NOMINAL.effects.clone()).unwrap()
+    }
+
+    /// A robot drives around a partition that stands 15 cm beside its place: both faces have moved, and one name says so.
+    #[test]
+    fn both_faces_of_a_partition_have_one_name() {
+        let path = RobotPath::Waypoints {
+            points_m: vec![[1.2, 1.0], [4.8, 0.8], [5.0, 3.2], [1.4, 3.2], [1.2, 1.4]],
+            speed_m_s: 0.5,
+            turn_rate_rad_s: 0.8,
+        };
+        let (nominal, real) = (room_with_partition(0.0), room_with_partition(0.15));
+        let robot = Robot { path, start_jitter_m: 0.0, odometry_noise: nominal.odometry };
+        let simulator = Regime::default().simulator(&real, &real.effects).unwrap();
+        let around = simulate_drive(&simulator, &robot, SEED).unwrap().drive.reference().unwrap();
+        let drive = record_library(&real, &around, &[], Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 99, seed: 5, ..GapOptions::default() };
+        let outcome = find(&nominal, &recorded, &options, &(), &AtomicBool::new(false)).unwrap();
+        let [named] = &outcome.effects[..] else { panic!("{:?}", outcome.effects) };
+        assert!(named.name == EffectKind::MovedWall && named.place.len() == 2, "{named:?}");
+        let [a, b] = named.place[0].map(DVec2::from);
+        let west = named.params["distance_m"].estimate.value * (b - a).y.signum();
+        assert!((west + 0.15).abs() < 0.01, "{named:?}");
     }
 }

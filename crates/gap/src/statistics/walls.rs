@@ -1,9 +1,10 @@
 //! Effects of a stretch of wall, over cells of the map that walls run through.
 
 use distreg::contamination::{detectable_share, score};
+use glam::DVec2;
 use locsim_comparison::{kinds_shown_by, near_density};
-use locsim_core::{Line, Stretch, Stretches, lines_through};
-use locsim_world::effect::{self, EffectKind};
+use locsim_core::{Line, Stretch, Stretches, lines_through, median};
+use locsim_world::effect::{self, EffectKind, PLACE_REACH_M};
 
 use super::readings::{Reading, side_of};
 use super::survey::Survey;
@@ -124,6 +125,9 @@ pub(super) const STRETCH_GAP_M: f64 = 2.0;
 pub(super) const ON_LINE_M: f64 = 0.03;
 /// The same for the readings of a stretch: the line through the ends is known to a few centimetres.
 pub(super) const NEAR_LINE_M: f64 = 0.05;
+/// A wall is thin up to this \[m\], and so many beams see its other face.
+const THIN_M: f64 = 0.3;
+const FEWEST_OF_FACE: usize = 10;
 /// The most stretches that fits start from.
 pub(super) const MOST_STRETCHES: usize = 2;
 /// The most walls that are looked at in a statistic's cells: the two of a corner, and a third of a recess.
@@ -152,10 +156,29 @@ pub(super) fn wall_guesses<const N: usize>(
     let starts = stretches.take(MOST_STRETCHES).flat_map(|Stretch { strength, ends, .. }| {
         // A wall that is displaced far has no score: a typical strength is tried as well.
         let typical = typical_values(kind, strength);
-        let own = std::iter::once(strength).chain(typical[1..].iter().copied()).collect();
-        [own, typical].map(|values| Start { values, place: vec![ends] })
+        let own: Vec<f64> = std::iter::once(strength).chain(typical[1..].iter().copied()).collect();
+        let of_both_faces = with_other_face(log, ends).map(|place| Start { values: own.clone(), place });
+        let of_one = [own, typical].map(|values| Start { values, place: vec![ends] });
+        of_one.into_iter().chain(of_both_faces)
     });
     starts.collect()
+}
+
+/// A stretch that is seen from its right, with the other face of its wall, where that is thin and seen, too: a partition moves with both of its
+/// faces. Both go the same way along, so that both move to the same side.
+pub(super) fn with_other_face(log: &Readings<'_>, [a, b]: [DVec2; 2]) -> Option<Vec<[DVec2; 2]>> {
+    let along = (b - a).normalize();
+    let max = log.max_range();
+    let views = log.all.iter().map(|reading| &reading.beam.view).filter(|view| view.range < max);
+    let from_left = views.filter(|view| along.perp_dot(view.direction) < 0.0).map(|view| view.endpoint - a);
+    let beside = from_left.filter(|end| (0.0..=a.distance(b)).contains(&along.dot(*end)));
+    let behind = beside.map(|end| along.perp_dot(end)).filter(|by| (PLACE_REACH_M..=THIN_M).contains(by));
+    let mut behind: Vec<f64> = behind.collect();
+    if behind.len() < FEWEST_OF_FACE {
+        return None;
+    }
+    let other = median(&mut behind) * along.perp();
+    Some(vec![[a, b], [a + other, b + other]])
 }
 
 /// The walls through the cells that are farthest off, with the statistic's z; each cell once, and each wall with most of its beams from its right.
@@ -204,7 +227,6 @@ fn best_stretch<const N: usize>(
 mod tests {
     use std::sync::atomic::AtomicBool;
 
-    use glam::DVec2;
     use locsim_comparison::fixtures::{NOMINAL, TRUTH};
     use locsim_comparison::hidden::{Regime, record_library};
     use locsim_comparison::{Comparison, Nuisances};

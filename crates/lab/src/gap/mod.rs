@@ -470,6 +470,9 @@ fn usable(
     } else {
         recorded
     };
+    if settings.baseline.is_none() {
+        warnings.extend(cut(&drive, &recorded, map));
+    }
     let outside = drive.steps.iter().filter(|s| s.reference.is_some_and(|pose| !free(&pose))).count();
     if outside > 0 {
         let many = if 10 * outside > references { " Is the reference in the map's frame?" } else { "" };
@@ -479,6 +482,21 @@ fn usable(
         ));
     }
     Ok((drive, recorded, lag_secs))
+}
+
+/// A note on a log that goes on beyond the scans that are looked at.
+fn cut(drive: &Drive, recorded: &Recorded, map: &ExactRangeMap) -> Option<String> {
+    let stamps: Vec<f64> =
+        drive.steps.iter().filter(|step| is_free(map, step)).map(|step| step.stamp_secs).collect();
+    let (looked_at, all) = (recorded.scans(), stamps.len());
+    let secs = |last: usize| stamps[last] - stamps[0];
+    (looked_at < all).then(|| {
+        format!(
+            "The first {looked_at} of {all} scans are looked at: {:.0} of {:.0} s. `--scans` says how many.",
+            secs(looked_at - 1),
+            secs(all - 1)
+        )
+    })
 }
 
 /// Leaves out scans that were sent again; a note on them.
