@@ -19,6 +19,7 @@ use super::scores::Scores;
 use super::sectors::Sectors;
 use super::steps::Steps;
 use super::survey::Survey;
+use super::vacated_walls::VacatedWalls;
 use super::walls::{WallLoss, WallShift};
 use super::{Cell, Family, Found, Halves, Readings, Start, Statistic};
 
@@ -45,6 +46,7 @@ impl Dictionary {
         let families: Vec<Box<dyn Family>> = boxed(Scores::all(&survey))
             .chain(boxed(WallShift::all(&survey)))
             .chain(boxed(DisplacedWalls::all(&survey)))
+            .chain(boxed(VacatedWalls::all(&survey)))
             .chain(boxed(WallLoss::all(&survey)))
             .chain(boxed(Edges::all(&survey)))
             .chain(boxed(Steps::all()))

@@ -23,7 +23,7 @@ use super::{Family, Form, Found, Group, Halves, Readings, Start, Statistic};
 
 /// Width of the windows of displacement, and the largest one \[m\]: farther before a wall stand things of their own.
 const WINDOW_M: f64 = 0.04;
-const FARTHEST_M: f64 = 0.5;
+pub(super) const FARTHEST_M: f64 = 0.5;
 /// Windows overlap by half, so that readings at the border of one are in the middle of another.
 const WINDOWS: usize = (4.0 * FARTHEST_M / WINDOW_M) as usize - 1;
 /// The share of a displaced wall's readings that may be of anything else.
@@ -47,7 +47,7 @@ fn windows_of(displacement: f64) -> impl Iterator<Item = usize> {
 }
 
 /// Where a reading is from its wall, along the wall's normal \[m\]; `None` of a reading of the wall where it is mapped, and of none.
-fn displacement(reading: &Reading<'_>) -> Option<f64> {
+pub(super) fn displacement(reading: &Reading<'_>) -> Option<f64> {
     (reading.is_in_front || reading.is_behind)
         .then(|| (reading.z - reading.beam.range() - reading.shift) * reading.beam.view.incidence.cos())
 }
@@ -157,7 +157,7 @@ impl Family for DisplacedWalls {
 
 /// Where most displaced readings of a wall lie on a line of their own, with how many do. It goes on to where it meets the wall: near there,
 /// readings aren't displaced.
-fn turned(log: &Readings<'_>, wall: Line) -> Option<(usize, Start)> {
+pub(super) fn turned(log: &Readings<'_>, wall: Line) -> Option<(usize, Start)> {
     let along = |reading: &Reading<'_>| {
         let end = reading.beam.view.endpoint;
         let s = wall.along.dot(end - wall.point);

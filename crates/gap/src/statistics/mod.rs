@@ -22,6 +22,7 @@ mod scores;
 mod sectors;
 mod steps;
 mod survey;
+mod vacated_walls;
 mod wall_cells;
 mod walls;
 

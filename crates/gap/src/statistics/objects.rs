@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use glam::DVec2;
 use locsim_comparison::kinds_shown_by;
-use locsim_world::effect::{self, EffectKind};
+use locsim_world::effect::{self, Disc, EffectKind};
 
 use super::readings::Reading;
 use super::survey::Survey;
@@ -16,8 +16,8 @@ use super::{Family, Form, Found, Group, Halves, OBJECT_CELL_M, Readings, Start, 
 const READING_ERROR_M: f64 = 0.1;
 /// Readings of one object are within this of each other \[m\].
 const TOGETHER_M: f64 = 0.1;
-/// Radius from which the fit of an object starts \[m\].
-const FIRST_RADIUS_M: f64 = 0.05;
+/// Radii from which the fit of an object may start \[m\]: a leg of a chair, a column.
+const FIRST_RADII_M: [f64; 4] = [0.02, 0.05, 0.1, 0.2];
 /// The most windows that fits start from.
 const MOST_STARTS: usize = 3;
 
@@ -48,16 +48,35 @@ impl Objects {
             .collect()
     }
 
-    /// The middle of the readings in a window that lie together.
-    fn position(log: &Readings<'_>, [x, y]: [i32; 2]) -> DVec2 {
-        let is_inside = |point: &DVec2| {
-            let [i, j] = cell_at(*point, OBJECT_CELL_M);
+    /// The disc at the readings in a window that lie together, of the radius by which it stops most beams, less those that pass.
+    fn disc(log: &Readings<'_>, [x, y]: [i32; 2]) -> Disc {
+        let is_inside = |reading: &&Reading<'_>| {
+            let [i, j] = cell_at(reading.point(), OBJECT_CELL_M);
             (x..=x + 1).contains(&i) && (y..=y + 1).contains(&j)
         };
-        let points: Vec<DVec2> = log.in_front().map(Reading::point).filter(is_inside).collect();
+        let inside: Vec<&Reading<'_>> = log.in_front().filter(is_inside).collect();
+        let points: Vec<DVec2> = inside.iter().map(|reading| reading.point()).collect();
         let middle = DVec2::new(f64::from(x + 1), f64::from(y + 1)) * OBJECT_CELL_M;
-        densest(&points, TOGETHER_M).unwrap_or(middle)
+        let face = densest(&points, TOGETHER_M).unwrap_or(middle);
+        // Readings lie on the side that faces the laser.
+        let together = inside.iter().filter(|reading| reading.point().distance(face) <= TOGETHER_M);
+        let inwards = together.map(|reading| reading.beam.view.direction).sum::<DVec2>().normalize_or_zero();
+        let discs = FIRST_RADII_M.map(|radius_m| Disc { center: face + radius_m * inwards, radius_m });
+        let stopped = |disc: &Disc| log.all.iter().map(|reading| stops(disc, reading)).sum::<i32>();
+        discs.into_iter().rev().max_by_key(stopped).unwrap_or(discs[0])
     }
+}
+
+/// 1 for a disc that stops a beam where its reading is, -1 for one that would and doesn't, 0 for one that is hidden or beside it.
+fn stops(disc: &Disc, reading: &Reading<'_>) -> i32 {
+    let (direction, to_center) = (reading.beam.view.direction, disc.center - reading.point());
+    let (along, across) = (direction.dot(to_center), direction.perp_dot(to_center));
+    let reach = disc.radius_m + READING_ERROR_M;
+    // Ends before it, or comes from a laser beyond it.
+    if across.abs() >= disc.radius_m || along > reach || reading.z + along < 0.0 {
+        return 0;
+    }
+    if along >= -reach { 1 } else { -1 }
 }
 
 /// The cells along the beams up to their ends, where objects can be seen, and the windows of four of them.
@@ -117,8 +136,8 @@ impl Family for Objects {
     fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
         let more = found.iter().filter(|found| found.z > 0.0).take(MOST_STARTS);
         more.map(|found| {
-            let position = Self::position(log, self.windows[found.index].corner);
-            Start { values: vec![position.x, position.y, FIRST_RADIUS_M], place: Vec::new() }
+            let Disc { center, radius_m } = Self::disc(log, self.windows[found.index].corner);
+            Start { values: vec![center.x, center.y, radius_m], place: Vec::new() }
         })
         .collect()
     }
