@@ -105,10 +105,12 @@ pub(crate) enum Group {
     Misalignments,
     /// Walls that are displaced far: clutter that stays in front of a wall looks like another wall.
     DisplacedWalls,
+    /// Walls that hardly a reading is left of: clutter that stays hides no more of them than it is long.
+    VacatedWalls,
 }
 
 impl Group {
-    pub const COUNT: usize = 7;
+    pub const COUNT: usize = 8;
     /// Those whose statistics aren't of an effect of the library.
     pub const OMNIBUS: [Self; 2] = [Self::Cells, Self::Misalignments];
 }

@@ -64,14 +64,13 @@ impl Scores {
         })
     }
 
-    /// The parameter, the direction and the strength by which most of a log's readings are moved, if the effect is one that moves
-    /// readings, of one strength.
-    fn strength_of_most(&self, log: &Readings<'_>) -> Option<(usize, Direction, f64)> {
-        let mut strengths = self.kind.strengths();
-        let (Some(strength), None) = (strengths.next(), strengths.next()) else { return None };
+    /// The values of the effect by which most of a log's readings are moved, if it is one that moves readings.
+    fn values_of_most(&self, log: &Readings<'_>) -> Option<Vec<f64>> {
         if self.score != Score::Location {
             return None;
         }
+        let strengths: Vec<usize> = self.kind.strengths().collect();
+        let &[strength] = &strengths[..] else { return self.strengths_of_most(log) };
         let moved = self.directions.iter().flat_map(|weights| {
             let turned = if self.is_turn { turned(log) } else { None };
             let cast = if self.kind.moves() == Moves::Scans { cast(log, self.kind, strength) } else { None };
@@ -79,7 +78,32 @@ impl Scores {
             all.map(|moved| (weights.direction, moved))
         });
         let (direction, [value, left]) = moved.min_by(|a, b| a.1[1].total_cmp(&b.1[1]))?;
-        (left < LEFT).then_some((strength, direction, value))
+        let mut values = values_along(self.kind, direction);
+        values[strength] = self.kind.parameters()[strength].neutral + value;
+        (left < LEFT).then_some(values)
+    }
+
+    /// The same of an effect of several strengths, each with a direction of its own: one after the other, each beside the others (coordinate
+    /// descent of least absolute deviations).
+    fn strengths_of_most(&self, log: &Readings<'_>) -> Option<Vec<f64>> {
+        let returns =
+            || log.all.iter().filter(|reading| reading.is_return && reading.terms.sigma.is_finite());
+        let mut errors: Vec<f64> =
+            returns().map(|reading| reading.terms.error / reading.terms.sigma).collect();
+        let without = Errors::of(errors.iter().copied());
+        let mut values = Effect::neutral(self.kind, Vec::new()).values;
+        for _ in 0..DESCENTS {
+            for Weights { direction, of_beams, .. } in &self.directions {
+                let (parameter, unit) = direction.iter().copied().find(|(_, value)| *value != 0.0)?;
+                let weights: Vec<f64> = returns()
+                    .map(|reading| f64::from(of_beams[reading.index]) / reading.terms.sigma)
+                    .collect();
+                let by = least_absolute(&errors, &weights)?;
+                errors.iter_mut().zip(&weights).for_each(|(error, weight)| *error -= by * weight);
+                values[parameter] += by * unit.signum();
+            }
+        }
+        (Errors::of(errors.into_iter()).left_of(&without) < LEFT).then_some(values)
     }
 
     /// Derivative of a reading's log density, of a contamination at a share of 0.
@@ -134,6 +158,8 @@ const LEAST_SIGMA_M: f64 = 1e-3;
 const CUT: f64 = 100.0;
 /// Most readings are far off if this many standard deviations are their median.
 const FAR: f64 = 3.0;
+/// Times that several strengths are fitted one after the other.
+const DESCENTS: usize = 3;
 /// Steps between the least and the largest strength.
 const CASTS: u32 = 20;
 
@@ -142,13 +168,21 @@ const CASTS: u32 = 20;
 fn moved(log: &Readings<'_>, of_beams: &[f32]) -> Option<[f64; 2]> {
     let returns =
         log.scans().flatten().filter(|reading| reading.is_return && reading.terms.sigma.is_finite());
-    let returns: Vec<[f64; 2]> = returns
+    let (errors, weights): (Vec<f64>, Vec<f64>) = returns
         .map(|reading| {
-            [reading.terms.error, f64::from(of_beams[reading.index])].map(|x| x / reading.terms.sigma)
+            let sigma = reading.terms.sigma;
+            (reading.terms.error / sigma, f64::from(of_beams[reading.index]) / sigma)
         })
-        .collect();
-    let weighted = returns.iter().filter(|[_, weight]| weight.abs() > LEAST_WEIGHT);
-    let mut ratios: Vec<[f64; 2]> = weighted.map(|[error, weight]| [error / weight, weight.abs()]).collect();
+        .unzip();
+    let strength = least_absolute(&errors, &weights)?;
+    let left = Errors::of(errors.iter().zip(&weights).map(|(error, weight)| error - strength * weight));
+    Some([strength, left.left_of(&Errors::of(errors.iter().copied()))])
+}
+
+/// The strength with which errors are least in absolute value, each less its weight times the strength: a weighted median.
+fn least_absolute(errors: &[f64], weights: &[f64]) -> Option<f64> {
+    let weighted = errors.iter().zip(weights).filter(|(_, weight)| weight.abs() > LEAST_WEIGHT);
+    let mut ratios: Vec<[f64; 2]> = weighted.map(|(error, weight)| [error / weight, weight.abs()]).collect();
     ratios.sort_by(|a, b| a[0].total_cmp(&b[0]));
     let half = 0.5 * ratios.iter().map(|[_, weight]| weight).sum::<f64>();
     let mut sum = 0.0;
@@ -156,8 +190,7 @@ fn moved(log: &Readings<'_>, of_beams: &[f32]) -> Option<[f64; 2]> {
         sum += weight;
         sum >= half
     })?;
-    let errors = |strength: f64| Errors::of(returns.iter().map(|[error, weight]| error - strength * weight));
-    Some([strength, errors(strength).left_of(&errors(0.0))])
+    Some(strength)
 }
 
 /// Errors of readings, in standard deviations of their noise.
@@ -254,10 +287,10 @@ impl Family for Scores {
     }
 
     fn moves_most(&self, log: &Readings<'_>) -> Option<(EffectKind, Start)> {
-        let (strength, direction, value) = self.strength_of_most(log)?;
-        let mut values = values_along(self.kind, direction);
-        let parameter = &self.kind.parameters()[strength];
-        values[strength] = (parameter.neutral + value).clamp(parameter.lo, parameter.hi);
+        let mut values = self.values_of_most(log)?;
+        for (value, parameter) in values.iter_mut().zip(self.kind.parameters()) {
+            *value = value.clamp(parameter.lo, parameter.hi);
+        }
         Some((self.kind, Start { values, place: Vec::new() }))
     }
 
@@ -320,6 +353,25 @@ mod tests {
         let few = score(&|i, error| if i % 480 == 7 { 4.5 * SIGMA_M } else { error });
         let noisier = score(&|_, error| 1.015 * error);
         assert!(few > as_it_is && noisier > few, "{as_it_is} {few} {noisier}");
+    }
+
+    /// A laser that sits 30 cm ahead and 20 cm to the right of where it is said to be moves most readings, in two directions at once.
+    #[test]
+    fn a_laser_that_is_displaced_by_far_is_found() {
+        let most = |values: [f64; 2]| {
+            let displaced = Effect::new(EffectKind::MountOffset, values.to_vec(), Vec::new()).unwrap();
+            let drive = record_library(&NOMINAL, &TRUTH, &[displaced], Regime::default(), 3).unwrap();
+            let recorded = Recorded::new(&drive, 150, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            let fitted = comparison.start(&Nuisances::default());
+            let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
+            let scores = Scores::all(&Survey::new(&comparison));
+            let own = scores.iter().find(|scores| scores.kind == EffectKind::MountOffset).unwrap();
+            own.moves_most(&log).map(|(_, start)| start.values)
+        };
+        let found = most([0.3, -0.2]).unwrap();
+        assert!((found[0] - 0.3).abs() < 0.02 && (found[1] + 0.2).abs() < 0.02, "{found:?}");
+        assert_eq!(most([0.0; 2]), None);
     }
 
     /// Stamps that are late by more than a third of a second are far from moving readings in proportion: beams are cast anew. Where nothing is off

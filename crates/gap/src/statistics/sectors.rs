@@ -1,6 +1,6 @@
 //! Parts of the robot in front of the laser: readings in front of the walls, counted by bearing and range.
 
-use locsim_core::cell_at;
+use locsim_core::{Pose2, cell_at};
 use std::collections::HashSet;
 
 use locsim_comparison::kinds_shown_by;
@@ -15,11 +15,15 @@ const BEARINGS: usize = 24;
 pub(crate) const ROBOT_REACH_M: f64 = 2.0;
 /// Length of a bin of range \[m\].
 const RANGE_BIN_M: f64 = 0.25;
+/// The length of a piece of the way \[m\], to which a turn adds this much \[m/rad\]. What stands in the room is in one window for a piece or two, and
+/// what is on the robot for all of them.
+const PIECE_M: f64 = 0.5;
+const TURN_M: f64 = 0.5;
 /// The most windows that fits start from, and the probability that they start at.
 const MOST_STARTS: usize = 2;
 const FIRST_PROBABILITY: f64 = 0.05;
 
-/// The counts of readings in windows of two bins of bearing and two of range.
+/// The counts of readings in windows of two bins of bearing and two of range, and the shares of the way on which a window has any.
 pub(super) struct Sectors {
     kind: EffectKind,
     /// Bearing of each beam of a scan, and the width of a bin \[rad\].
@@ -29,6 +33,8 @@ pub(super) struct Sectors {
     ranges: usize,
     /// The bin of each beam of a scan.
     of_beams: Vec<usize>,
+    /// The piece of the way of each scan.
+    of_scans: Vec<usize>,
 }
 
 /// The window of a statistic: bearings and middle range.
@@ -46,6 +52,7 @@ impl Sectors {
         let bin = |bearing: &f64| ((bearing - first) / width_rad.max(1e-9)) as usize;
         let of_beams: Vec<usize> = bearings.iter().map(|bearing| bin(bearing).min(BEARINGS - 1)).collect();
         let ranges = (survey.max_range.min(ROBOT_REACH_M) / RANGE_BIN_M).ceil() as usize;
+        let of_scans = pieces_of_way(survey.comparison.recorded.track.poses());
         kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::Sector))
             .map(|kind| Self {
                 kind,
@@ -53,6 +60,7 @@ impl Sectors {
                 width_rad,
                 ranges,
                 of_beams: of_beams.clone(),
+                of_scans: of_scans.clone(),
             })
             .collect()
     }
@@ -62,12 +70,26 @@ impl Sectors {
         (0..BEARINGS - 1).flat_map(|bearing| (0..self.ranges - 1).map(move |range| [bearing, range]))
     }
 
-    fn window(&self, index: usize) -> Window {
+    /// The window of a statistic.
+    fn window(&self, statistic: usize) -> Window {
+        let index = statistic % self.corners().count();
         let [bearing, range] = [index / (self.ranges - 1), index % (self.ranges - 1)];
         let from_rad = self.bearings[0] + bearing as f64 * self.width_rad;
         let to_rad = from_rad + 2.0 * self.width_rad;
         Window { from_rad, to_rad, range_m: (range as f64 + 1.0) * RANGE_BIN_M }
     }
+}
+
+/// The piece of the way that each scan is on.
+fn pieces_of_way(poses: &[Pose2]) -> Vec<usize> {
+    let mut way_m = 0.0;
+    let mut of_scans = vec![0];
+    for pair in poses.windows(2) {
+        let step = pair[1].relative_to(&pair[0]);
+        way_m += step.position().length() + TURN_M * step.theta.abs();
+        of_scans.push((way_m / PIECE_M) as usize);
+    }
+    of_scans
 }
 
 /// The range about which most readings of a window lie \[m\]: the middle of the densest tenth of a metre.
@@ -125,12 +147,17 @@ fn bearings_at(log: &Readings<'_>, bearings: &[f64], window: &Window, range_m: f
 
 impl Family for Sectors {
     fn statistics(&self) -> Vec<Statistic> {
-        vec![Statistic::of_effect(self.kind, Group::Places, Form::Count); self.corners().count()]
+        let pieces = self.of_scans.last().map_or(1, |last| last + 1);
+        let count = Statistic::of_effect(self.kind, Group::Places, Form::Count);
+        let share = Statistic::of_effect(self.kind, Group::Places, Form::Share);
+        let share = share.with_one_reading((pieces as f64).recip());
+        let windows = self.corners().count();
+        [vec![count; windows], vec![share; windows]].concat()
     }
 
     /// Several readings of one place in the map count once: a thing that stands in the room isn't on the robot.
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
-        let mut seen = HashSet::new();
+        let (mut seen, mut met) = (HashSet::new(), HashSet::new());
         let mut counts = vec![[0.0; 2]; BEARINGS * self.ranges];
         for reading in log.in_front() {
             let range = (reading.z / RANGE_BIN_M) as usize;
@@ -140,14 +167,32 @@ impl Family for Sectors {
                 if seen.insert((bin, reading.half, place)) {
                     counts[bin][reading.half] += 1.0;
                 }
+                met.insert((bin, reading.half, self.of_scans[reading.scan]));
             }
         }
-        let count = |[bearing, range]: [usize; 2]| {
+        let bins_of = |[bearing, range]: [usize; 2]| {
             let corner = bearing * self.ranges + range;
-            let window = [corner, corner + 1, corner + self.ranges, corner + self.ranges + 1];
-            std::array::from_fn(|half| window.iter().map(|&bin| counts[bin][half]).sum())
+            [corner, corner + 1, corner + self.ranges, corner + self.ranges + 1]
         };
-        self.corners().map(count).collect()
+        let count = |window: [usize; 2]| {
+            let bins = bins_of(window);
+            std::array::from_fn(|half| bins.iter().map(|&bin| counts[bin][half]).sum())
+        };
+        let mut pieces = [Vec::new(), Vec::new()];
+        for readings in log.scans() {
+            pieces[readings[0].half].push(self.of_scans[readings[0].scan]);
+        }
+        pieces.iter_mut().for_each(Vec::dedup);
+        let share = |window: [usize; 2]| {
+            let bins = bins_of(window);
+            std::array::from_fn(|half| {
+                let is_met = |piece: &&usize| bins.iter().any(|&bin| met.contains(&(bin, half, **piece)));
+                let own = pieces[half].iter().filter(is_met).count() as f64;
+                // As minus the logarithm of the rest; a piece more keeps it finite.
+                -0.5 * (-own / (pieces[half].len() as f64 + 1.0)).ln_1p()
+            })
+        };
+        self.corners().map(count).chain(self.corners().map(share)).collect()
     }
 
     fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
