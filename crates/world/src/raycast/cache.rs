@@ -73,11 +73,12 @@ impl Cached {
     /// The table, unless there is none, or one that was cut short, altered, or written for something else. Marks its
     /// file as used.
     pub fn read(&self) -> Option<Built> {
-        let mut file = File::open(&self.path).ok()?;
-        let bytes = file.metadata().ok().filter(fs::Metadata::is_file)?.len();
+        // Before it is opened: a pipe would be waited for.
+        let bytes = fs::metadata(&self.path).ok().filter(fs::Metadata::is_file)?.len();
         if bytes > Limits::current().cache_bytes {
             return None;
         }
+        let mut file = File::open(&self.path).ok()?;
         let mut content =
             Content { words: bytes / 4, file: BufReader::new(&mut file), hasher: blake3::Hasher::new() };
         let mut start = [0; MAGIC.len() + HASH];

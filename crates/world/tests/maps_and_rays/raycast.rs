@@ -407,6 +407,14 @@ fn a_cached_table_is_the_built_one_or_is_built_anew() {
         assert_eq!(cached(&options), built);
         assert_eq!(std::fs::read(file).unwrap(), content, "the damaged file is replaced");
     }
+    // A pipe in its place isn't waited for.
+    #[cfg(unix)]
+    {
+        std::fs::remove_file(file).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(file).status().unwrap().success());
+        assert_eq!(cached(&options), built);
+        assert_eq!(std::fs::read(file).unwrap(), content, "the pipe is replaced");
+    }
     // A file under another table's name isn't taken for it.
     let other = RangeTableOptions { cell_m: 0.8, ..options };
     let built_other = cached(&other);
