@@ -284,7 +284,7 @@ fn validate_one(path: &Path) -> anyhow::Result<String> {
             complain(&format!("warning: {}: {warning}", path.display()));
         }
         let threads = rayon::current_num_threads();
-        let cost = run::CostEstimate::of(&scenario, threads).in_words(threads);
+        let cost = run::CostEstimate::of(&scenario, threads).with_table(&scenario).in_words(threads);
         let (models, trials) = (scenario.models.len(), scenario.trials);
         format!("{}, {}; {cost}", counted(models, "model"), counted(trials as usize, "trial"))
     })

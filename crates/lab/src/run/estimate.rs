@@ -1,13 +1,16 @@
 //! The cost of a run, estimated from its scenario alone. A run that the machine can't hold is refused before it starts.
 
+use std::f64::consts::TAU;
+
 use locsim_core::LikelihoodGrid;
 use locsim_core::limits::Limits;
+use locsim_world::map::Geometry;
 use locsim_world::simulation::Trajectory;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
 use crate::LabError;
 use locsim_mcl::{KldOptions, PRUNED_AFTER, ParticleCount};
-use locsim_scenario::{Estimate as PoseEstimate, ModelName, RayCast, Scenario, Simulation, Source};
+use locsim_scenario::{Estimate as PoseEstimate, ModelName, RayCast, Scenario, Simulation, Source, load_map};
 
 /// Bytes of a training reading in all the forms that it has at once: as scanned, in the training set, as the list of
 /// readings and beams that a mixture is fitted to (40 bytes).
@@ -36,6 +39,14 @@ const SECONDS_PER_BEAM: [f64; 3] = [7e-9, 120e-9, 120e-9];
 const SECONDS_PER_READING: [f64; 2] = [0.5e-6, 2e-6];
 /// Seconds to train a model and to draw its figures, whatever the data.
 const SECONDS_PER_MODEL: f64 = 1.5;
+
+/// Seconds for a bin of headings of a cell of the range table in which one wall shows, and for each wall more; at most so many
+/// walls are told apart.
+const SECONDS_PER_BIN: [f64; 2] = [0.6e-6, 1e-6];
+const MOST_WALLS: f64 = 24.0;
+/// Bins of headings, and the angle of one \[rad\].
+const BINS: f64 = 256.0;
+const BIN_RAD: f64 = TAU / BINS;
 
 /// The approximate cost of a run.
 #[derive(Clone, Debug, PartialEq)]
@@ -132,6 +143,19 @@ impl Estimate {
         Self { memory_bytes, cpu_secs, largest: largest.unwrap_or(of_report) }
     }
 
+    /// The estimate with the time for the map's range table. The map is read, so that this isn't for each cell of a sweep, which keeps its
+    /// tables anyway.
+    pub fn with_table(mut self, scenario: &Scenario) -> Self {
+        if let (Source::Simulation(simulation), RayCast::Table { cell_m, memory_mb }) =
+            (&scenario.source, scenario.ray_cast)
+            && let Ok(map) = load_map(&simulation.map)
+            && let Some(secs) = &mut self.cpu_secs
+        {
+            *secs += secs_of_table(&map.geometry, cell_m, f64::from(memory_mb) * f64::from(1 << 20));
+        }
+        self
+    }
+
     /// The estimate for `locsim simulate`, which holds the whole log of one trial.
     pub fn of_simulated_log(simulation: &Simulation) -> Self {
         let scans = steps_of(simulation).unwrap_or(0.0);
@@ -173,6 +197,23 @@ impl Estimate {
             None => memory,
         }
     }
+}
+
+/// Processor time for a map's range table \[s\]. It grows with the number of walls in a bin of a cell, of which there are dozens
+/// where walls are short.
+fn secs_of_table(map: &Geometry, cell_m: f64, most_bytes: f64) -> f64 {
+    const SIDE: u32 = 64;
+    let [x0, y0, x1, y1] = map.bounds();
+    let part = |i: u32| (f64::from(i) + 0.5) / f64::from(SIDE);
+    let points = (0..SIDE).flat_map(|row| (0..SIDE).map(move |column| (part(column), part(row))));
+    let free = points.filter(|(u, v)| map.is_free(x0 + u * (x1 - x0), y0 + v * (y1 - y0))).count() as f64;
+    let area = (x1 - x0) * (y1 - y0) * free / f64::from(SIDE * SIDE);
+    let cells = (area / cell_m.powi(2)).min(most_bytes / (4.0 * BINS));
+    // The walls of the free space stand about half its side away.
+    let shown_m = cell_m + 0.5 * area.sqrt() * BIN_RAD;
+    let walls = shown_m * map.segments().len() as f64 / map.wall_length_m().max(f64::MIN_POSITIVE);
+    let [one, more] = SECONDS_PER_BIN;
+    cells * BINS * (one + more * walls.min(MOST_WALLS))
 }
 
 /// How many scans a simulated drive has; `None` for a path that is refused.

@@ -134,7 +134,7 @@ pub fn run_with<E: From<LabError> + From<StoreError>>(
     keep: impl FnOnce(&Store) -> Result<(), E>,
 ) -> Result<Outcome, E> {
     let threads = rayon::current_num_threads();
-    let cost = CostEstimate::of(scenario, threads);
+    let cost = CostEstimate::of(scenario, threads).with_table(scenario);
     cost.check(scenario)?;
     options.control.progress.note(&format!("{}: {}", scenario.name, cost.in_words(threads)));
     let fingerprint = scenario.content_hash().map_err(LabError::from)?;
@@ -179,7 +179,7 @@ pub fn run_share(
 /// [`LabError`], as [`run`], and for a log without reference poses, whose results are a report alone.
 pub fn compute(scenario: &Scenario, cache: Option<&Path>, control: Control<'_>) -> Result<Outcome, LabError> {
     let threads = rayon::current_num_threads();
-    let cost = CostEstimate::of(scenario, threads);
+    let cost = CostEstimate::of(scenario, threads).with_table(scenario);
     cost.check(scenario)?;
     control.progress.note(&format!("{}: {}", scenario.name, cost.in_words(threads)));
     let began = (control.clock)();
