@@ -20,8 +20,9 @@ impl Lock {
     /// Fails where another process has the lock at `path`, for results at `out`. Nothing is made or kept.
     ///
     /// # Errors
-    /// [`StoreError::Held`].
+    /// [`StoreError::Held`], and [`StoreError::Foreign`] for something that is no file.
     pub fn check(path: &Path, out: &Path) -> Result<(), StoreError> {
+        check_kind(path, out)?;
         // The caller that needs the file reports that it can't be opened.
         let Ok(file) = File::open(path) else { return Ok(()) };
         match file.try_lock_shared() {
@@ -33,9 +34,10 @@ impl Lock {
     /// Takes the lock at `path` for results at `out`.
     ///
     /// # Errors
-    /// [`StoreError::Held`] where another process has it; [`StoreError::File`].
+    /// [`StoreError::Held`] where another process has it; [`StoreError::Foreign`], [`StoreError::File`].
     pub fn take(path: &Path, out: &Path) -> Result<Self, StoreError> {
         loop {
+            check_kind(path, out)?;
             let mut open = OpenOptions::new();
             open.read(true).write(true).create(true).truncate(false);
             let mut file = match open.open(path) {
@@ -70,6 +72,16 @@ impl Lock {
         remove_file(&self.path)?;
         drop(self.file);
         Ok(())
+    }
+}
+
+/// Refuses what is no file: a pipe would be waited for, and what a link leads to isn't ours.
+fn check_kind(path: &Path, out: &Path) -> Result<(), StoreError> {
+    match fs::symlink_metadata(path) {
+        Ok(found) if !found.is_file() => {
+            Err(StoreError::Foreign { out: out.to_owned(), found: path.to_owned() })
+        }
+        _ => Ok(()),
     }
 }
 

@@ -102,8 +102,9 @@ impl Places {
         } else {
             out.to_owned()
         };
-        if out.exists() && !out.is_dir() {
-            return Err(StoreError::NoFolder { out });
+        // The folders above are made where they aren't there.
+        if let Some(file) = out.ancestors().find(|place| place.exists()).filter(|place| !place.is_dir()) {
+            return Err(StoreError::NoFolder { out: file.to_owned() });
         }
         // A path such as `.` or `..` has no name to put a finished folder in the place of.
         let Some(name) = out.file_name().map(ToOwned::to_owned) else {
