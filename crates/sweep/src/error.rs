@@ -1,5 +1,6 @@
 use std::path::PathBuf;
 
+use locsim_core::limits::quoted;
 use locsim_lab::LabError;
 use locsim_report::ReportError;
 use locsim_report::store::StoreError;
@@ -61,6 +62,14 @@ pub enum SweepError {
         path: PathBuf,
         /// The defect.
         what: String,
+    },
+    /// The place of the shards isn't a folder.
+    #[error("{} is not allowed; {what}, and the folder that the shards are in is needed", quoted(&path.to_string_lossy()))]
+    NoFolder {
+        /// The path.
+        path: PathBuf,
+        /// What is there.
+        what: &'static str,
     },
     /// The shards in a folder can't be merged.
     #[error("{}", problems.join("\n"))]

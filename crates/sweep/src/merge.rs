@@ -261,8 +261,12 @@ impl Shards {
     /// The folders of shards in a folder, whole or not.
     ///
     /// # Errors
-    /// [`SweepError::File`].
+    /// [`SweepError::NoFolder`] and [`SweepError::File`].
     pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, SweepError> {
+        if !folder.is_dir() {
+            let what = if folder.exists() { "it is a file" } else { "nothing is there" };
+            return Err(SweepError::NoFolder { path: folder.to_owned(), what });
+        }
         let unreadable = |source| SweepError::File { path: folder.to_owned(), source };
         let mut folders = Vec::new();
         for entry in std::fs::read_dir(folder).map_err(unreadable)? {
