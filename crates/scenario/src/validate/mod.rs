@@ -402,13 +402,22 @@ fn bound(
         check.problem(key, "a bound belongs to a figure, such as {lost_share: {max: 0.05}}");
         return;
     }
-    let is_share = metric == "lost_share";
+    let (allowed, words) = match metric {
+        "lost_share" => (0.0..=1.0, "a share from 0 to 1"),
+        _ if is_signed(metric) => (f64::NEG_INFINITY..=f64::INFINITY, ""),
+        _ => (0.0..=f64::INFINITY, "0 or more, as the figure is"),
+    };
     for (word, bound) in [("min", min), ("max", max)] {
-        let Some(bound) = bound.filter(|bound| is_share && !(0.0..=1.0).contains(bound)) else { continue };
-        check.problem(&join(key, word), format!("{} is not allowed; a share from 0 to 1", number(bound)));
+        let Some(bound) = bound.filter(|bound| !allowed.contains(bound)) else { continue };
+        check.problem(&join(key, word), format!("{} is not allowed; {words}", number(bound)));
     }
     match METRICS.into_iter().find(|known| *known == metric) {
         Some(metric) => out.push(Expectation { model: label.to_owned(), metric, min, max }),
         None => check.problem(key, unknown_word(metric, "a figure of a model", &METRICS)),
     }
+}
+
+/// Whether a figure can be below 0: means of signed errors and logarithms of densities.
+fn is_signed(metric: &str) -> bool {
+    [".mean_m", ".mean_rad", ".log_loss_nats"].iter().any(|ending| metric.ends_with(ending))
 }
