@@ -195,13 +195,27 @@ pub enum MapError {
     #[error("{0}")]
     TooMany(String),
     /// The image of a grid cannot be read or written.
-    #[error("map image {}: {source}", quoted(&path.to_string_lossy()))]
+    #[error("map image {}: {}", quoted(&path.to_string_lossy()), of_image(source))]
     Image {
         /// The image's path.
         path: PathBuf,
         /// The decoder's error.
         source: image::ImageError,
     },
+}
+
+/// What is wrong with an image. The decoder says it in its own words, and not what is allowed.
+fn of_image(error: &image::ImageError) -> String {
+    match error {
+        image::ImageError::IoError(error) => error.to_string(),
+        error => {
+            let reason = error.to_string();
+            format!(
+                "it can't be decoded ({}); a whole image in PNG or PGM is needed",
+                quoted(reason.trim_end_matches('.'))
+            )
+        }
+    }
 }
 
 /// A point as an error quotes it.
