@@ -137,10 +137,11 @@ impl Staged {
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         fs::create_dir_all(folder)?;
-        let mut file = BufWriter::new(builder.tempfile_in(folder).map_err(|error| without_name(&error))?);
-        body(&mut file)?;
-        let file = file.into_inner()?;
-        file.as_file().sync_all()?;
+        let file = builder.tempfile_in(folder).map_err(|error| without_name(&error))?;
+        // Not through `NamedTempFile`, whose errors tell the temporary name.
+        let mut writer = BufWriter::new(file.as_file());
+        body(&mut writer)?;
+        writer.into_inner()?.sync_all()?;
         Ok(Self { file, path: path.to_owned() })
     }
 
@@ -155,7 +156,9 @@ impl Staged {
 
 /// The system's error without the temporary file's name, which means nothing to a user.
 fn without_name(error: &io::Error) -> io::Error {
-    io::Error::from(error.kind())
+    let text = error.to_string();
+    let (of_system, _) = text.split_once(" at path ").unwrap_or((&text, ""));
+    io::Error::new(error.kind(), of_system)
 }
 
 #[cfg(test)]
@@ -198,6 +201,13 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"1");
         let error = write_file(&path.join("b"), |_| Ok(())).unwrap_err();
         assert_eq!(error.to_string(), fs::create_dir_all(&path).unwrap_err().to_string());
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn errors_are_the_systems_without_the_temporary_name() {
+        let error = write_file(Path::new("/proc/a"), |_| Ok(())).unwrap_err();
+        assert_eq!(error.to_string(), "No such file or directory (os error 2)");
     }
 
     #[cfg(unix)]

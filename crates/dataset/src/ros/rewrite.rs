@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::error::Error as _;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -106,7 +107,8 @@ impl BagCopy {
         write_whole(out, |stream| {
             let written = |error: mcap::McapError| DatasetError::Unwritable {
                 path: out.to_owned(),
-                reason: error.to_string(),
+                // The system's own words, such as that the disk is full.
+                reason: error.source().map_or_else(|| error.to_string(), ToString::to_string),
             };
             let mut copy = Copy::to(stream).map_err(written)?;
             let mut failed = None;
