@@ -37,7 +37,7 @@ impl Message for PoseStamped {
 }
 
 /// A bag put together message by message.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Bag {
     /// Topic, type, encoding, content.
     messages: Vec<(String, String, String, Vec<u8>)>,

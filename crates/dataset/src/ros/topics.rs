@@ -148,6 +148,16 @@ impl<'a> Topics<'a> {
             }
         }
         let localizer = if reference.is_none() { self.named(&LOCALIZER, None, space)? } else { None };
+        // They may as well be goals, or what a localizer found: whoever recorded them knows.
+        let poses: Vec<_> = self
+            .candidates(&REFERENCE)
+            .filter(|channel| channel.schema != Odometry::TYPE && Some(*channel) != localizer.as_ref())
+            .map(|channel| self.in_words(channel))
+            .take(LISTED)
+            .collect();
+        if reference.is_none() && !poses.is_empty() {
+            guessed.push(format!("poses that may be named as the reference: {}", poses.join(", ")));
+        }
         let is_topic = |source: &Option<PoseSource>| matches!(source, Some(PoseSource::Topic(_)));
         // A laser's mount may be among the transforms where none is static.
         if is_topic(&odometry) && is_topic(&reference) && fixed_transforms.is_some() {

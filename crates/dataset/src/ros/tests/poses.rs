@@ -244,6 +244,16 @@ fn a_reference_is_composed_of_transforms() {
         let expected = map_from_odom.compose(&step.odometry);
         assert!(near(&step.reference.unwrap(), &expected), "{:?}", step.reference);
     }
+    // Poses under another name may be anything: the user hears of them.
+    let (_, summary) = whole
+        .clone()
+        .add("/mocap/robot", &stamped(1.0, &Pose2::IDENTITY))
+        .read(&BagOptions::default())
+        .unwrap();
+    assert!(
+        summary.evidence.contains("poses that may be named as the reference: /mocap/robot (1 messages)"),
+        "{summary}"
+    );
     // Named as we and as evo write it, the user vouches for it.
     for name in ["map:base_footprint", "/tf:map.base_footprint"] {
         let (named, summary) = whole.read(&reference(name)).unwrap();
