@@ -266,6 +266,43 @@ fn options_of_the_command_line() {
     );
 }
 
+/// Where a folder is needed.
+#[test]
+fn files_in_the_place_of_folders() {
+    let folder = Folder::new();
+    for line in ["run room-run.yaml", "run room-run.yaml --shard 1/2", "run room-run.yaml --trials 1"] {
+        for out in ["room.yaml", "room.yaml/a", "room.yaml/a/b"] {
+            let message = "--out: room.yaml is not allowed; it is a file, and a folder is needed";
+            refused(&folder, &format!("{line} --out {out}"), message);
+        }
+    }
+    for (path, what) in [("room.yaml", "it is a file"), ("nowhere", "nothing is there")] {
+        let message =
+            format!("{path} is not allowed; {what}, and the folder that the shards are in is needed");
+        refused(&folder, &format!("merge {path}"), &message);
+    }
+}
+
+/// What stands in the place of the lock is no file of ours: a link's target isn't written to.
+#[cfg(unix)]
+#[test]
+fn locks_that_are_no_files() {
+    let folder = Folder::new();
+    let room = folder.read("room.yaml");
+    std::fs::create_dir_all(folder.path("r.partial")).unwrap();
+    let lock = folder.path("r.partial/lock");
+    let message = "--out: r is not allowed; r.partial/lock isn't as locsim wrote it, and stays. Move it away, or name another \
+                   folder";
+    for target in ["../room.yaml", "../nowhere"] {
+        std::os::unix::fs::symlink(target, &lock).unwrap();
+        refused(&folder, "run room-run.yaml --out r", message);
+        std::fs::remove_file(&lock).unwrap();
+    }
+    assert!(std::process::Command::new("mkfifo").arg(&lock).status().unwrap().success());
+    refused(&folder, "run room-run.yaml --out r --force", message);
+    assert!(folder.read("room.yaml") == room, "the link's target was written to");
+}
+
 /// Opening a pipe is to wait for whoever writes into it.
 #[cfg(unix)]
 #[test]
@@ -482,6 +519,46 @@ fn samples_above_the_greatest_of_an_image() {
     );
 }
 
+/// The decoder's own words stand beside what is needed.
+#[test]
+fn images_that_cannot_be_decoded() {
+    let folder = Folder::new();
+    ros_map(&folder, 0, 254, "negate: 0\n");
+    folder.write("s.yaml", edited(SCENARIO, "room.yaml", "floor.yaml"));
+    let needed = "a whole image in PNG or PGM is needed";
+    for (image, reason) in [
+        (
+            &b"P9\n36 22\n255\n"[..],
+            "Format error decoding Pnm: Expected magic constant for PNM: P1..P7, got [0x50, 0x39]",
+        ),
+        (&b"P5\n36 22\n0\n"[..], "Format error decoding Pnm: Image MAXVAL is zero"),
+    ] {
+        folder.write("floor.pgm", image);
+        let message =
+            format!("floor.yaml:1: image: map image floor.pgm: it can't be decoded ({reason}); {needed}");
+        refused(&folder, "validate s.yaml", &message);
+    }
+}
+
+/// Short walls cost their range table most of a run's time, and the estimate says so.
+#[test]
+fn a_map_of_many_corners_has_its_time_told() {
+    let folder = Folder::new();
+    let told = |corners: u32| -> f64 {
+        let corner = |i| {
+            let angle = f64::from(i) * std::f64::consts::TAU / f64::from(corners);
+            format!("[{}, {}]", 1.6 + 3.0 * angle.cos(), 0.9 + 3.0 * angle.sin())
+        };
+        let corners: Vec<String> = (0..corners).map(corner).collect();
+        folder.write("room.yaml", format!("outline: {{points_m: [{}]}}\n", corners.join(", ")));
+        let said = output(&folder.locsim("validate room-run.yaml").success());
+        let (_, secs) = said.split_once("about ").unwrap();
+        secs.split_once(" s,").unwrap_or_else(|| panic!("{said}")).0.parse().unwrap()
+    };
+    let [few, many] = [told(20), told(5000)];
+    assert!(many > 3.0 * few, "{few} s, {many} s");
+}
+
 /// A map without its image, one that is turned by degrees, and walls of shares beyond all.
 #[test]
 fn maps_of_other_kinds() {
@@ -624,9 +701,20 @@ fn impossible_together() {
             "expect: {classic: {lost_share: {max: -1}}}\ntraining:",
             "s.yaml:12: expect.classic.lost_share.max: -1 is not allowed; a share from 0 to 1",
         ),
+        (
+            "training:",
+            "expect: {classic: {kept: {position_rmse_m: {max: -0.1}}}}\ntraining:",
+            "s.yaml:12: expect.classic.kept.position_rmse_m.max: -0.1 is not allowed; 0 or more, as the figure is",
+        ),
     ] {
         refused_scenario(from, to, message);
     }
+    // Means of signed errors may be below 0.
+    let folder = Folder::new();
+    let signed =
+        "expect: {classic: {along: {mean_m: {max: -0.1}}, train: {log_loss_nats: {max: -0.1}}}}\ntraining:";
+    folder.write("s.yaml", edited(SCENARIO, "training:", signed));
+    folder.locsim("validate s.yaml").success();
     // The path is free, and a start that is moved by 16 m isn't.
     let folder = Folder::new();
     folder.write("s.yaml", edited(SCENARIO, "robot:\n", "robot:\n  start_jitter_m: 16\n"));
