@@ -1,6 +1,8 @@
 //! Runs cells and keeps each when it is done.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -80,9 +82,17 @@ pub fn check(sweep: &Sweep, cells: Range<u32>, control: Control<'_>) -> Result<I
 /// [`SweepError::File`].
 pub fn hash(path: &Path) -> Result<String, SweepError> {
     let mut hasher = blake3::Hasher::new();
-    std::fs::File::open(path)
+    open(path)
         .and_then(|file| hasher.update_reader(file).map(|hasher| hasher.finalize().to_hex().to_string()))
         .map_err(|source| SweepError::File { path: path.to_owned(), source })
+}
+
+/// Opens a file. What is none is refused: a pipe would be waited for.
+///
+/// # Errors
+/// The system's errors.
+pub fn open(path: &Path) -> io::Result<File> {
+    if std::fs::metadata(path)?.is_file() { File::open(path) } else { Err(io::Error::other("it is no file")) }
 }
 
 /// Cells that are run side by side.

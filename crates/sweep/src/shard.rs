@@ -1,6 +1,5 @@
 //! A shard: a share of the cells, run on its own into a folder of its own.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -12,7 +11,7 @@ use locsim_report::trial_set::{CellRows, TrialFile};
 use serde::{Deserialize, Serialize};
 
 use crate::plan::Plan;
-use crate::run::{Inputs, SweepOptions, check, finished_cell, hash, run_cells};
+use crate::run::{Inputs, SweepOptions, check, finished_cell, hash, open, run_cells};
 use crate::{Sweep, SweepError};
 
 /// The trials of a shard, in its folder.
@@ -241,7 +240,7 @@ pub fn read_summary(folder: &Path) -> Result<Option<ShardSummary>, SweepError> {
     let damaged = |what: String| SweepError::DamagedShard { path: folder.join(SUMMARY), what };
     let unreadable = |error: std::io::Error| damaged(format!("can't be read: {error}"));
     let mut text = Vec::new();
-    let file = File::open(folder.join(SUMMARY)).map_err(unreadable)?;
+    let file = open(&folder.join(SUMMARY)).map_err(unreadable)?;
     file.take(MOST_SUMMARY_BYTES + 1).read_to_end(&mut text).map_err(unreadable)?;
     if text.len() as u64 > MOST_SUMMARY_BYTES {
         return Err(damaged(format!("has more than {MOST_SUMMARY_BYTES} bytes")));
@@ -267,8 +266,9 @@ pub fn check_trials(folder: &Path, summary: &ShardSummary) -> Result<(), SweepEr
         Ok(_) => {
             Err(SweepError::DamagedShard { path, what: "was cut or changed since it was written".to_owned() })
         }
-        Err(error) => {
-            Err(SweepError::DamagedShard { path: path.clone(), what: format!("can't be read ({error})") })
+        Err(SweepError::File { source, .. }) => {
+            Err(SweepError::DamagedShard { path, what: format!("can't be read: {source}") })
         }
+        Err(error) => Err(error),
     }
 }
