@@ -313,7 +313,7 @@ fn a_merge_refuses_what_is_not_one_sweep_and_says_how_to_mend_it() {
     folder.locsim("sweep s.yaml --out o --shard 1/3 --quiet").success();
     folder.locsim("merge o --quiet").success();
     folder.locsim("merge o").code(2).stderr(contains("it isn't empty"));
-    folder.locsim("merge absent").code(2).stderr(contains("absent: nothing is there"));
+    folder.locsim("merge absent").code(2).stderr(contains("absent is not allowed; nothing is there"));
     fs::create_dir(folder.path("empty")).unwrap();
     folder.locsim("merge empty").code(2).stderr(contains("empty: there is no whole shard"));
 }

@@ -145,6 +145,7 @@ impl Estimate {
 
     /// The estimate with the time for the map's range table. The map is read, so that this isn't for each cell of a sweep, which keeps its
     /// tables anyway.
+    #[must_use]
     pub fn with_table(mut self, scenario: &Scenario) -> Self {
         if let (Source::Simulation(simulation), RayCast::Table { cell_m, memory_mb }) =
             (&scenario.source, scenario.ray_cast)
