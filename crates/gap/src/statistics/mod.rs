@@ -105,8 +105,8 @@ pub(crate) enum Group {
     Misalignments,
     /// Walls that are displaced far: clutter that stays in front of a wall looks like another wall.
     DisplacedWalls,
-    /// Walls that hardly a reading is left of: clutter that stays hides no more of them than it is long.
-    VacatedWalls,
+    /// Walls that hardly a reading is left of, and what is before the laser on all of the way: clutter that stays is no longer than it is.
+    Lasting,
 }
 
 impl Group {

@@ -15,10 +15,11 @@ const BEARINGS: usize = 24;
 pub(crate) const ROBOT_REACH_M: f64 = 2.0;
 /// Length of a bin of range \[m\].
 const RANGE_BIN_M: f64 = 0.25;
-/// The length of a piece of the way \[m\], to which a turn adds this much \[m/rad\]. What stands in the room is in one window for a piece or two, and
+/// The length of a piece of the way \[m\], to which a turn adds this much \[m/rad\]. What stands in the room is in one window for a few pieces, and
 /// what is on the robot for all of them.
 const PIECE_M: f64 = 0.5;
 const TURN_M: f64 = 0.5;
+const PIECES_OF_ONE_THING: f64 = 3.0;
 /// The most windows that fits start from, and the probability that they start at.
 const MOST_STARTS: usize = 2;
 const FIRST_PROBABILITY: f64 = 0.05;
@@ -149,8 +150,8 @@ impl Family for Sectors {
     fn statistics(&self) -> Vec<Statistic> {
         let pieces = self.of_scans.last().map_or(1, |last| last + 1);
         let count = Statistic::of_effect(self.kind, Group::Places, Form::Count);
-        let share = Statistic::of_effect(self.kind, Group::Places, Form::Share);
-        let share = share.with_one_reading((pieces as f64).recip());
+        let share = Statistic::of_effect(self.kind, Group::Lasting, Form::Share);
+        let share = share.with_one_reading(PIECES_OF_ONE_THING / (pieces as f64).max(PIECES_OF_ONE_THING));
         let windows = self.corners().count();
         [vec![count; windows], vec![share; windows]].concat()
     }
@@ -204,5 +205,38 @@ impl Family for Sectors {
             Start { values: vec![from_rad, to_rad, range_m, FIRST_PROBABILITY], place: Vec::new() }
         })
         .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances};
+    use locsim_world::effect::Effect;
+
+    use super::*;
+    use crate::Recorded;
+    use crate::statistics::pit_draw;
+
+    /// A cable that hides a beam in two of three scans is met on nearly all of the way; clutter that stands beside it on little of it.
+    #[test]
+    fn what_is_on_the_robot_is_met_on_all_of_the_way() {
+        let most = |effects: &[Effect]| {
+            let regime = Regime { persistent_blocks: true, pose_error: None };
+            let drive = record_library(&NOMINAL, &TRUTH, effects, regime, 3).unwrap();
+            let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            let family = Sectors::all(&Survey::new(&comparison)).remove(0);
+            let fitted = comparison.start(&Nuisances::default());
+            let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
+            let windows = family.corners().count();
+            let shares = family.measure(&log).split_off(windows);
+            // From minus the logarithm of the rest.
+            shares.iter().map(|halves| 1.0 - (-halves.iter().sum::<f64>()).exp()).fold(0.0, f64::max)
+        };
+        let cable = Effect::new(EffectKind::SectorOcclusion, vec![0.4, 0.5, 0.2, 0.67], Vec::new()).unwrap();
+        let (with, without) = (most(&[cable]), most(&[]));
+        assert!(with > 0.8 && without < 0.3, "{with} {without}");
     }
 }

@@ -143,8 +143,8 @@ fn beams_of_walls(survey: &Survey<'_>) -> (Vec<[DVec2; 2]>, Vec<Option<[u32; 2]>
 
 impl Family for VacatedWalls {
     fn statistics(&self) -> Vec<Statistic> {
-        let of = Statistic::of_effect(self.kind, Group::VacatedWalls, Form::Share)
-            .with_one_reading(BY_ONE_THING_M);
+        let of =
+            Statistic::of_effect(self.kind, Group::Lasting, Form::Share).with_one_reading(BY_ONE_THING_M);
         vec![of; self.walls.len()]
     }
 
@@ -168,7 +168,48 @@ impl Family for VacatedWalls {
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances};
+    use locsim_world::effect::Effect;
+
     use super::*;
+    use crate::Recorded;
+    use crate::statistics::pit_draw;
+
+    /// A wall of 6 m has moved by 17 cm over 5 m of it, and is turned by a degree, where clutter stays in front of walls: it has gone over its
+    /// length, and fits start there. Clutter alone hides less than a metre of any wall.
+    #[test]
+    fn a_wall_that_moved_is_gone_over_its_length() {
+        let stretch = [DVec2::new(0.5, 4.0), DVec2::new(5.5, 4.0)];
+        let turn = 1f64.to_radians();
+        let moved = Effect::new(EffectKind::MovedWall, vec![-0.17, turn], vec![stretch]).unwrap();
+        let longest_in = |effects: &[Effect]| {
+            let regime = Regime { persistent_blocks: true, pose_error: None };
+            let drive = record_library(&NOMINAL, &TRUTH, effects, regime, 3).unwrap();
+            let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            let family = VacatedWalls::all(&Survey::new(&comparison)).remove(0);
+            let fitted = comparison.start(&Nuisances::default());
+            let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
+            let lengths: Vec<f64> = family.measure(&log).iter().map(|halves| halves.iter().sum()).collect();
+            let (wall, length) = lengths
+                .into_iter()
+                .enumerate()
+                .max_by(|a, b| a.1.total_cmp(&b.1))
+                .expect("the room has walls");
+            (length, family.start(&log, wall))
+        };
+        let (length, start) = longest_in(&[moved]);
+        let start = start.unwrap();
+        let [a, b] = start.place[0];
+        assert!((4.0..=5.5).contains(&length) && a.distance(b) > 4.0, "{length} {start:?}");
+        assert!(
+            (start.values[0] + 0.17).abs() < 0.02 && (start.values[1].abs() - turn).abs() < 0.005,
+            "{start:?}"
+        );
+        assert!(longest_in(&[]).0 <= 0.75);
+    }
 
     #[test]
     fn the_longest_stretch_has_no_readings_of_the_wall() {
