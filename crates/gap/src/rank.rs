@@ -49,7 +49,7 @@ impl Null {
 const FARTHER: f64 = 3.0;
 
 /// How the false-alarm rate is shared out among the groups of statistics, in their order.
-const SHARES: [f64; Group::COUNT] = [0.38, 0.14, 0.14, 0.05, 0.16, 0.05, 0.04, 0.04];
+const SHARES: [f64; Group::COUNT] = [0.38, 0.14, 0.14, 0.05, 0.16, 0.05, 0.03, 0.025, 0.025];
 
 pub(crate) fn rank(statistics: &[Statistic], own: &[Halves], others: &[Vec<Halves>]) -> Null {
     let count = others.len() + 1;

@@ -105,12 +105,14 @@ pub(crate) enum Group {
     Misalignments,
     /// Walls that are displaced far: clutter that stays in front of a wall looks like another wall.
     DisplacedWalls,
-    /// Walls that hardly a reading is left of, and what is before the laser on all of the way: clutter that stays is no longer than it is.
-    Lasting,
+    /// Walls that hardly a reading is left of: clutter that stays hides no more of them than it is long.
+    VacatedWalls,
+    /// What is before the laser on all of the way: clutter is on a piece of it.
+    OnRobot,
 }
 
 impl Group {
-    pub const COUNT: usize = 8;
+    pub const COUNT: usize = 9;
     /// Those whose statistics aren't of an effect of the library.
     pub const OMNIBUS: [Self; 2] = [Self::Cells, Self::Misalignments];
 }

@@ -150,7 +150,7 @@ impl Family for Sectors {
     fn statistics(&self) -> Vec<Statistic> {
         let pieces = self.of_scans.last().map_or(1, |last| last + 1);
         let count = Statistic::of_effect(self.kind, Group::Places, Form::Count);
-        let share = Statistic::of_effect(self.kind, Group::Lasting, Form::Share);
+        let share = Statistic::of_effect(self.kind, Group::OnRobot, Form::Share);
         let share = share.with_one_reading(PIECES_OF_ONE_THING / (pieces as f64).max(PIECES_OF_ONE_THING));
         let windows = self.corners().count();
         [vec![count; windows], vec![share; windows]].concat()
