@@ -143,8 +143,8 @@ fn beams_of_walls(survey: &Survey<'_>) -> (Vec<[DVec2; 2]>, Vec<Option<[u32; 2]>
 
 impl Family for VacatedWalls {
     fn statistics(&self) -> Vec<Statistic> {
-        let of =
-            Statistic::of_effect(self.kind, Group::VacatedWalls, Form::Share).with_one_reading(BY_ONE_THING_M);
+        let of = Statistic::of_effect(self.kind, Group::VacatedWalls, Form::Share)
+            .with_one_reading(BY_ONE_THING_M);
         vec![of; self.walls.len()]
     }
 
