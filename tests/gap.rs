@@ -65,6 +65,20 @@ fn a_scenario_is_held_against_a_log_before_a_search() {
         .stderr(contains("one scenario"));
 }
 
+/// A log goes on after the scans that are looked at: the answer says so, and only then.
+#[test]
+fn a_log_that_is_cut_is_told() {
+    let folder = folder();
+    let notes_of = |scans: &str| {
+        let line = "gap nominal.yaml --log measured.log --replicates 19 --no-filter --json";
+        let call = folder.locsim(&format!("{line} --out results/{scans} --scans {scans}")).success();
+        let outcome: Value = serde_json::from_str(&output(&call)).unwrap();
+        outcome["notes"].to_string()
+    };
+    assert!(notes_of("40").contains("The first 40 of "));
+    assert!(!notes_of("600").contains("are looked at"));
+}
+
 #[test]
 fn the_missing_effect_is_named_and_added() {
     let folder = folder();

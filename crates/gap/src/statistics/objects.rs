@@ -177,4 +177,34 @@ mod tests {
         let [_, on_robot] = most(EffectKind::SectorOcclusion, &[0.4, 0.8, 0.3, 0.2]);
         assert!(on_robot > 3.0 * as_sector, "{as_sector} {on_robot}");
     }
+
+    /// A leg and a column in the room: fits start near their middles, from radii that are near theirs.
+    #[test]
+    fn fits_start_from_a_disc_like_the_object() {
+        for radius_m in [0.02, 0.2] {
+            let center = DVec2::new(2.6, 2.0);
+            let object =
+                Effect::new(EffectKind::MissingObject, vec![center.x, center.y, radius_m], Vec::new());
+            let drive = record_library(&NOMINAL, &TRUTH, &[object.unwrap()], Regime::default(), 2).unwrap();
+            let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            let family = Objects::all(&Survey::new(&comparison)).remove(0);
+            let fitted = comparison.start(&Nuisances::default());
+            let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
+            let counts = family.measure(&log);
+            let most = |window: &usize| counts[*window].iter().sum::<f64>() as u32;
+            // Clutter at walls has as many.
+            let is_near = |window: &usize| {
+                let [x, y] = family.windows[*window].corner.map(|cell| f64::from(cell + 1) * OBJECT_CELL_M);
+                DVec2::new(x, y).distance(center) < 0.5
+            };
+            let window = (0..counts.len()).filter(is_near).max_by_key(most).unwrap();
+            let disc = Objects::disc(&log, family.windows[window].corner);
+            let ratio = disc.radius_m / radius_m;
+            assert!(
+                (0.4..2.6).contains(&ratio) && disc.center.distance(center) < 0.5 * radius_m + 0.05,
+                "{disc:?}"
+            );
+        }
+    }
 }

@@ -18,6 +18,9 @@ use super::{Family, Form, Found, Group, Halves, Readings, Start, Statistic};
 const LEAST_WALL_M: f64 = 1.5;
 /// A map with more walls than this isn't one of walls, but of cells.
 const MOST_WALLS: usize = 2000;
+/// Pieces of a wall join within this \[m\], and are on one line where the cosine of the angle between them is 1, to this.
+const JOINED_M: f64 = 1e-6;
+const STRAIGHT: f64 = 1e-6;
 /// Length of the bins into which a wall is cut \[m\].
 const BIN_M: f64 = 0.25;
 /// Fewer readings of a bin say nothing of it.
@@ -113,12 +116,26 @@ fn longest(bins: &[Bin]) -> Option<[usize; 2]> {
     best
 }
 
+/// Walls that are drawn in pieces, one after the other on one line, as one.
+fn joined(segments: &[[DVec2; 2]]) -> Vec<[DVec2; 2]> {
+    let mut walls: Vec<[DVec2; 2]> = Vec::new();
+    for &[a, b] in segments {
+        let goes_on = |[from, to]: &[DVec2; 2]| {
+            to.distance(a) < JOINED_M && (*to - *from).normalize().dot((b - a).normalize()) > 1.0 - STRAIGHT
+        };
+        match walls.last_mut().filter(|last| goes_on(last)) {
+            Some(last) => last[1] = b,
+            None => walls.push([a, b]),
+        }
+    }
+    walls
+}
+
 /// The long walls of the map, and which of them and which bin of it each beam ends on.
 fn beams_of_walls(survey: &Survey<'_>) -> (Vec<[DVec2; 2]>, Vec<Option<[u32; 2]>>) {
     let (nominal, views) = (survey.comparison.nominal, &survey.comparison.views);
-    let segments = nominal.map.geometry().segments().iter();
-    let mut walls: Vec<[DVec2; 2]> =
-        segments.filter(|[a, b]| a.distance(*b) >= LEAST_WALL_M).copied().collect();
+    let mut walls = joined(nominal.map.geometry().segments());
+    walls.retain(|[a, b]| a.distance(*b) >= LEAST_WALL_M);
     // Errors of a measured map are found by place, before the search.
     if nominal.pieces.is_some() || walls.len() > MOST_WALLS {
         walls.clear();
@@ -209,6 +226,16 @@ mod tests {
             "{start:?}"
         );
         assert!(longest_in(&[]).0 <= 0.75);
+    }
+
+    /// A wall of 3 m in pieces, and the wall beyond its corner.
+    #[test]
+    fn a_wall_that_is_drawn_in_pieces_is_one() {
+        let at = |points: [[f64; 2]; 5]| points.map(DVec2::from);
+        let points = at([[0.0, 0.0], [1.0, 0.0], [2.2, 0.0], [3.0, 0.0], [3.0, 2.0]]);
+        let pieces: Vec<[DVec2; 2]> = points.windows(2).map(|ends| [ends[0], ends[1]]).collect();
+        assert_eq!(joined(&pieces), [[points[0], points[3]], [points[3], points[4]]]);
+        assert_eq!(joined(&[pieces[0], pieces[2]]), [pieces[0], pieces[2]], "a gap between them");
     }
 
     #[test]
