@@ -1,8 +1,8 @@
 //! Maps that can't be read, or can't be ones.
 
-use predicates::str::contains;
+use predicates::str::{contains, starts_with};
 
-use crate::common::{Folder, SCENARIO, edited};
+use crate::common::{Folder, SCENARIO, edited, output};
 use crate::{ON_A_LOG, refused};
 
 #[test]
