@@ -17,7 +17,7 @@ use super::survey::Survey;
 use super::wall_cells::WallCells;
 use super::walls::{
     MOST_STRETCHES, NEAR_LINE_M, ON_LINE_M, STRETCH_GAP_M, STRETCH_LEAST_M, STRETCH_REACH_M, lines_off,
-    wall_guesses, with_other_face,
+    of_one_and_both_faces, wall_guesses,
 };
 use super::{Family, Form, Found, Group, Halves, Readings, Start, Statistic};
 
@@ -145,12 +145,7 @@ impl Family for DisplacedWalls {
         let turned = lines_off(&self.walls, log, found).take(MOST_STRETCHES).filter_map(|(_, lines)| {
             lines.into_iter().filter_map(|line| turned(log, line)).max_by_key(|(count, _)| *count)
         });
-        let turned = turned.map(|(_, start)| start).flat_map(|start| {
-            let place = with_other_face(log, start.place[0]);
-            let of_both_faces = place.map(|place| Start { values: start.values.clone(), place });
-            std::iter::once(start).chain(of_both_faces)
-        });
-        starts.extend(turned);
+        starts.extend(turned.flat_map(|(_, start)| of_one_and_both_faces(log, start)));
         starts
     }
 }

@@ -11,7 +11,7 @@ use locsim_world::effect::{self, EffectKind};
 use super::displaced_walls::{FARTHEST_M, displacement, turned};
 use super::readings::Reading;
 use super::survey::Survey;
-use super::walls::{ON_LINE_M, with_other_face};
+use super::walls::{ON_LINE_M, of_one_and_both_faces};
 use super::{Family, Form, Found, Group, Halves, Readings, Start, Statistic};
 
 /// Shorter walls are hidden by single things \[m\].
@@ -174,12 +174,7 @@ impl Family for VacatedWalls {
     fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
         let walls = found.iter().filter(|found| found.z > 0.0).take(MOST_STARTS);
         let starts = walls.filter_map(|found| self.start(log, found.index));
-        let both = starts.flat_map(|start| {
-            let place = with_other_face(log, start.place[0]);
-            let of_both_faces = place.map(|place| Start { values: start.values.clone(), place });
-            std::iter::once(start).chain(of_both_faces)
-        });
-        both.collect()
+        starts.flat_map(|start| of_one_and_both_faces(log, start)).collect()
     }
 }
 

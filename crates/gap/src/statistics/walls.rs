@@ -156,17 +156,23 @@ pub(super) fn wall_guesses<const N: usize>(
     let starts = stretches.take(MOST_STRETCHES).flat_map(|Stretch { strength, ends, .. }| {
         // A wall that is displaced far has no score: a typical strength is tried as well.
         let typical = typical_values(kind, strength);
-        let own: Vec<f64> = std::iter::once(strength).chain(typical[1..].iter().copied()).collect();
-        let of_both_faces = with_other_face(log, ends).map(|place| Start { values: own.clone(), place });
-        let of_one = [own, typical].map(|values| Start { values, place: vec![ends] });
-        of_one.into_iter().chain(of_both_faces)
+        let own = std::iter::once(strength).chain(typical[1..].iter().copied()).collect();
+        let [own, typical] = [own, typical].map(|values| Start { values, place: vec![ends] });
+        of_one_and_both_faces(log, own).chain([typical])
     });
     starts.collect()
 }
 
-/// A stretch that is seen from its right, with the other face of its wall, where that is thin and seen, too: a partition moves with both of its
-/// faces. Both go the same way along, so that both move to the same side.
-pub(super) fn with_other_face(log: &Readings<'_>, [a, b]: [DVec2; 2]) -> Option<Vec<[DVec2; 2]>> {
+/// A start at a stretch that is seen from its right, and the same with the other face of its wall, where that is thin and seen, too: a partition
+/// moves with both of its faces.
+pub(super) fn of_one_and_both_faces(log: &Readings<'_>, start: Start) -> impl Iterator<Item = Start> + use<> {
+    let place = with_other_face(log, start.place[0]);
+    let of_both = place.map(|place| Start { values: start.values.clone(), place });
+    std::iter::once(start).chain(of_both)
+}
+
+/// A stretch with the other face of its wall. Both go the same way along, so that both move to the same side.
+fn with_other_face(log: &Readings<'_>, [a, b]: [DVec2; 2]) -> Option<Vec<[DVec2; 2]>> {
     let along = (b - a).normalize();
     let max = log.max_range();
     let views = log.all.iter().map(|reading| &reading.beam.view).filter(|view| view.range < max);
