@@ -7,6 +7,7 @@ use distreg::random_effects;
 use glam::DVec3;
 use locsim_core::{
     Pose2, PoseError, PoseInformation, Recorded, are_errors, fit_pose_error, longest_lasting, most_change,
+    no_larger_than_told,
     pattern_score, smooth_pose_errors, without_patterns,
 };
 use locsim_world::effect::{BurstStates, Effect, Effects, InBurst};
@@ -335,7 +336,8 @@ impl<'a> Comparison<'a> {
                 || round == 0 && far > 0 && changed < FAR_M;
             if is_last && !fitted.nuisances.pose_error.is_none() {
                 let error = if has_exact_walls {
-                    longest_lasting(process, secs, &information, &patterns)
+                    let longest = longest_lasting(process, secs, &information, &patterns);
+                    no_larger_than_told(longest, secs, &information)
                 } else {
                     process
                 };

@@ -61,7 +61,7 @@ pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, increments, sector_holds_middle, wrap_angle};
 pub use pose_error::{
     PoseError, PoseInformation, SmoothedPoseErrors, TurnedFrame, are_errors, fit_pose_error, longest_lasting,
-    most_change, pattern_score, smooth_pose_errors, without_patterns,
+    most_change, no_larger_than_told, pattern_score, smooth_pose_errors, without_patterns,
 };
 pub use purpose::Purpose;
 pub use quantile::{equal_bins, median, quantile, sorted};

@@ -113,6 +113,33 @@ pub fn longest_lasting(
     longest
 }
 
+/// Steps in which it is found: what scans don't tell of an error is as large as the process.
+const STEPS: usize = 4;
+
+/// The process with the same fluctuations from scan to scan that is no larger than what scans say the errors are (root mean square). Errors that
+/// come and go smoothly hardly change from scan to scan, which a fit takes for a process that outlasts the log by far, and is as large as it
+/// could become by then.
+pub fn no_larger_than_told(process: PoseError, secs: &[f64], scans: &[PoseInformation]) -> PoseError {
+    let mut process = process;
+    for _ in 0..STEPS {
+        let smoothed = smooth_pose_errors(&process, secs, scans);
+        let squares = smoothed.mean.iter().zip(&smoothed.covariance).map(|(mean, covariance)| {
+            *mean * *mean + DVec3::new(covariance.x_axis.x, covariance.y_axis.y, covariance.z_axis.z)
+        });
+        let square = squares.sum::<DVec3>() / scans.len() as f64;
+        let of_position = 0.5 * (square.x + square.y) / process.sigma_m.powi(2);
+        let of_heading = square.z / process.sigma_rad.powi(2);
+        let share = of_position.max(of_heading).min(1.0);
+        process = PoseError {
+            sigma_m: share.sqrt() * process.sigma_m,
+            sigma_rad: share.sqrt() * process.sigma_rad,
+            correlation_secs: share * process.correlation_secs,
+            ..process
+        };
+    }
+    process
+}
+
 /// Log evidence of scans for a process (nats), up to what doesn't depend on it, integrated over errors in these patterns.
 pub(super) fn restricted_log_evidence(
     process: &PoseError,

@@ -13,7 +13,7 @@ mod smoother;
 mod tests;
 mod turned_frame;
 
-pub use fit::{are_errors, fit_pose_error, longest_lasting};
+pub use fit::{are_errors, fit_pose_error, longest_lasting, no_larger_than_told};
 pub use information::PoseInformation;
 pub use pattern::{most_change, pattern_score, without_patterns};
 pub use process::PoseError;

@@ -65,6 +65,7 @@ fn errors_that_last_are_not_taken_for_constants() {
         let start = PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0, ..PoseError::NONE };
         let about_mean = fit_pose_error(start, &secs, &rest, 20);
         let longest = longest_lasting(about_mean, &secs, &scans, &patterns);
+        let longest = no_larger_than_told(longest, &secs, &scans);
         let of_mean = |process: &PoseError| process.sigma_m * process.variance_of_mean(0.1, 300).sqrt();
         short_about_mean += usize::from(of_mean(&about_mean) < 0.7 * of_mean(&truth));
         short += usize::from(of_mean(&longest) < 0.7 * of_mean(&truth));

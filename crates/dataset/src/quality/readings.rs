@@ -17,6 +17,13 @@ const MOST_STILL_SCANS: usize = 50;
 /// Stretches that are looked at, at the most.
 const STRETCHES: usize = 200;
 
+/// Readings of a standing robot's beam that are off their median by more than so many standard deviations of the differences from scan to scan,
+/// or steps, are of something that came or went.
+const PASSING: f64 = 6.0;
+
+/// Neighbours on a wall that are farther apart than this \[m\] have things between them, and the farther away the more of them: they don't tell
+/// whether noise grows.
+const NEIGHBOURS_M: f64 = 0.25;
 /// Neighbouring readings that differ by more than this share aren't of one wall, or of a grazed one.
 const ONE_WALL: f32 = 0.1;
 /// Three neighbours on one wall: the middle one's residual has this many times the variance of a reading.
@@ -228,16 +235,19 @@ fn still_noise(drive: &Drive, resolution_m: Option<f64>) -> (usize, Option<Noise
     let scans = stretches.iter().map(|stretch| stretch.len()).sum();
     let max = drive.laser.max_range();
     let mut variances = Vec::new();
+    let step_m = resolution_m.unwrap_or(0.0);
     let stride = stretches.len().div_ceil(STRETCHES).max(1);
     for stretch in stretches.iter().step_by(stride) {
-        let n = stretch.len() as f64;
-        // The median of a sample's variance lies below the variance (Wilson and Hilferty).
-        let of_median = (1.0 - 2.0 / (9.0 * (n - 1.0))).powi(3);
         for beam in 0..drive.laser.beam_count() {
-            let readings = || stretch.iter().map(|step| step.scan.ranges[beam]);
-            if readings().all(|range| range < max) {
-                let mean = readings().map(f64::from).sum::<f64>() / n;
-                let squares: f64 = readings().map(|range| (f64::from(range) - mean).powi(2)).sum();
+            let readings = stretch.iter().map(|step| step.scan.ranges[beam]);
+            let returns: Vec<f64> = readings.filter(|range| *range < max).map(f64::from).collect();
+            let of_surface = of_one_surface(&returns, step_m);
+            if 2 * of_surface.len() > stretch.len() {
+                let n = of_surface.len() as f64;
+                let mean = of_surface.iter().sum::<f64>() / n;
+                let squares: f64 = of_surface.iter().map(|range| (range - mean).powi(2)).sum();
+                // The median of a sample's variance lies below the variance (Wilson and Hilferty).
+                let of_median = (1.0 - 2.0 / (9.0 * (n - 1.0))).powi(3);
                 variances.push([mean, squares / (n - 1.0) / of_median]);
             }
         }
@@ -249,6 +259,17 @@ fn still_noise(drive: &Drive, resolution_m: Option<f64>) -> (usize, Option<Noise
     let mut all: Vec<f64> = variances.iter().map(|[_, variance]| *variance).collect();
     let sigma = |variances: &mut [f64]| (median(variances) - rounding).max(0.0).sqrt();
     (scans, Some(Noise::of(&mut all, variances, sigma)))
+}
+
+/// The returns of a standing robot's beam without those of what comes and goes, which are fewer than half.
+fn of_one_surface(returns: &[f64], step_m: f64) -> Vec<f64> {
+    let mut changes: Vec<f64> = returns.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
+    if changes.is_empty() {
+        return Vec::new();
+    }
+    let sigma = normal::SIGMA_OVER_MAD * median(&mut changes) / 2.0_f64.sqrt();
+    let (middle, most) = (median(&mut returns.to_vec()), PASSING * sigma.max(step_m));
+    returns.iter().copied().filter(|range| (range - middle).abs() <= most).collect()
 }
 
 /// Runs of scans during which the odometry doesn't change.
@@ -288,15 +309,20 @@ fn flat_noise(drive: &Drive, resolution_m: Option<f64>) -> Option<Noise> {
                 let apart = 0.5 * f64::from((bearings[2] - bearings[0]).abs());
                 let on_line = 2.0 * apart.cos() / (1.0 / left + 1.0 / right);
                 residuals.push((middle - on_line).abs());
-                if (right - left).abs() <= 2.0 * apart * middle {
+                if (right - left).abs() <= 2.0 * apart * middle && apart * middle <= NEIGHBOURS_M {
                     facing.push([middle, (middle - on_line).abs()]);
                 }
             }
         }
     }
     let sigma = |residuals: &mut [f64]| normal::SIGMA_OVER_MAD * median(residuals) / RESIDUAL_VARIANCE.sqrt();
-    (residuals.len() >= LEAST_RESIDUALS)
-        .then(|| Noise::of(&mut residuals, facing, sigma).of_walls(resolution_m.unwrap_or(0.0)))
+    if residuals.len() < LEAST_RESIDUALS {
+        return None;
+    }
+    // What stands before a wall is as long as the wall to a share of the range.
+    let most = PASSING * sigma(&mut residuals);
+    facing.retain(|[_, residual]| *residual <= most);
+    Some(Noise::of(&mut residuals, facing, sigma).of_walls(resolution_m.unwrap_or(0.0)))
 }
 
 /// Shares of lost and of random readings between two neighbours on one wall that faces the laser (incidence up to 45 degrees). Random readings are

@@ -166,6 +166,25 @@ fn growth_of_the_noise_comes_from_the_readings() {
     assert_eq!(DriveQuality::of(&moving, &summary()).readings.noise_by_range, flat.noise_by_range);
 }
 
+/// One reading in ten is of something that stands there for one scan, up to 15 % of the way in front of the wall: the laser errs by no more, nor
+/// by more with range, whether the robot stands or not.
+#[test]
+fn what_comes_and_goes_is_no_noise() {
+    let mut passing = drive(Recording { sigma_m: 0.012, ..PLAIN });
+    let mut uniform = Uniform(7);
+    for range in passing.steps.iter_mut().flat_map(|step| &mut step.scan.ranges) {
+        if uniform.next() < 0.1 {
+            *range *= 1.0 - 0.15 * uniform.next() as f32;
+        }
+    }
+    let readings = DriveQuality::of(&passing, &summary()).readings;
+    near(readings.still_noise_m, 0.012, 0.001);
+    assert_eq!(readings.noise_by_range, None);
+    passing.steps.drain(..31);
+    let readings = DriveQuality::of(&passing, &summary()).readings;
+    assert_eq!((readings.still_noise_m, readings.noise_by_range), (None, None));
+}
+
 /// Walls as rough as neighbours are apart: it isn't the laser that errs by nothing near them, and by more and more farther off.
 #[test]
 fn rough_walls_are_no_growing_noise() {

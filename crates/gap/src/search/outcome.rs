@@ -39,10 +39,11 @@ impl<'a> State<'a> {
     ) -> Result<Outcome, GapError> {
         let State { nominal, recorded, options, .. } = *self;
         let Path { rounds, mut named, rivals, note, .. } = path;
-        // Of several, each has the evidence of its gain beside the others.
+        // Of several, each has the evidence of its gain beside the others, and the one that gains most comes first.
         if let [only] = &mut named[..] {
             only.count_all_gains(recorded.scans());
         }
+        named.sort_by(|a, b| b.evidence.gain_nats.value.total_cmp(&a.evidence.gain_nats.value));
         let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
         let still_off = after.null.p <= options.false_alarm;
         let detectable = detectable(before);

@@ -178,7 +178,7 @@ impl<'a> State<'a> {
                 && !named.iter().any(|named| {
                     !adds_up(&named.effect, &candidate.effect)
                         && (is_one_cause(&named.effect, &candidate.effect)
-                            || is_left_by(named, candidate, of_another_form.contains(&named.name)))
+                            || is_left_by(named, &Gain::of(candidate), of_another_form.contains(&named.name)))
                 })
         });
         let candidates = drop_of_one_place(round, drop_surroundings(round, candidates)?)?;
@@ -196,8 +196,8 @@ impl<'a> State<'a> {
         Ok(most_gaining(&self.admissible(path.last(), &path.named)?))
     }
 
-    /// Deletes effects that don't surely gain beside the others. A later effect may explain what an earlier one was named for:
-    /// a strong yaw looks like noise at first.
+    /// Deletes effects that don't surely gain beside the others, or no more than one of these leaves. A later effect may explain what an earlier
+    /// one was named for: a strong yaw looks like noise at first, and a wall that has moved like deep clutter.
     pub fn delete(&self, path: &mut Path<'a>) -> Result<(), GapError> {
         // Of poses that were corrected once more an effect is seen as it is.
         let is_corrected = path.last().comparison.recorded.is_corrected();
@@ -208,7 +208,8 @@ impl<'a> State<'a> {
         let before = path.effects();
         let mut i = 0;
         while i < path.named.len() {
-            if self.refit(&mut path.named, i, &path.rounds[path.rounds.len() - 1])? || path.named.len() == 1 {
+            let gains = self.refit(&mut path.named, i, &path.rounds[path.rounds.len() - 1])?;
+            if gains && !is_left(&path.named, i) || path.named.len() == 1 {
                 i += 1;
             } else {
                 // What it gained the others do.
@@ -437,23 +438,44 @@ fn last_of_ranges(named: &[Named]) -> Option<usize> {
     named.iter().rposition(|named| named.name.moves() != Moves::Odometry)
 }
 
-/// Whether a candidate is what a named effect leaves: it gains little beside it, for one that changes the same moment.
-fn is_left_by(named: &Named, candidate: &Candidate, is_of_another_form: bool) -> bool {
-    let [a, b] = [named.name, candidate.kind()].map(|kind| kind.moves() == Moves::Odometry);
+/// What an effect gains beside others (nats), and the standard error of that.
+struct Gain {
+    kind: EffectKind,
+    nats: f64,
+    error: f64,
+}
+
+impl Gain {
+    fn of(candidate: &Candidate) -> Self {
+        Self { kind: candidate.kind(), nats: candidate.gain(), error: candidate.gain_error() }
+    }
+}
+
+/// Whether a named effect is what another one leaves.
+fn is_left(named: &[Named], index: usize) -> bool {
+    let Named { name, evidence, .. } = &named[index];
+    let Estimate { value, interval } = evidence.gain_nats;
+    let gain = Gain { kind: *name, nats: value, error: interval.half() / SURE_ERRORS };
+    named.iter().enumerate().any(|(i, other)| i != index && is_left_by(other, &gain, false))
+}
+
+/// Whether an effect is what a named one leaves: it gains little beside it, for one that changes the same moment.
+fn is_left_by(named: &Named, other: &Gain, is_of_another_form: bool) -> bool {
+    let [a, b] = [named.name, other.kind].map(|kind| kind.moves() == Moves::Odometry);
     if a != b {
         return false;
     }
     // A formula that isn't quite right is off by a constant, too, and a mean that isn't spreads readings.
-    let is_spread = is_of_another_form && named.name.is_bias() && candidate.kind().is_noise();
-    let is_akin = candidate.kind().is_constant() || share_a_moment(named.name, candidate.kind());
+    let is_spread = is_of_another_form && named.name.is_bias() && other.kind.is_noise();
+    let is_akin = other.kind.is_constant() || share_a_moment(named.name, other.kind);
     let share = match is_akin || is_spread {
         true if is_of_another_form => LEFT_BY_FORM_SHARE,
         true => LEFT_SHARE,
         false => LEFT_TO_ANY_SHARE,
     };
     let before = named.evidence.gain_nats.value;
-    let is_faint = candidate.gain() < (FAINT_SHARE * before).min(SURE_ERRORS * candidate.gain_error());
-    is_faint || candidate.gain() < share * before
+    let is_faint = other.nats < (FAINT_SHARE * before).min(SURE_ERRORS * other.error);
+    is_faint || other.nats < share * before
 }
 
 /// Whether a strength of an effect surely isn't its neutral value; an effect without numbers or strengths is there, and so is one whose
@@ -522,7 +544,7 @@ mod tests {
         };
         let losses = name(&[candidate(EffectKind::IncidenceDropout, 1000.0)], 0, 0.01, 100);
         let is_left =
-            |kind, gain, is_of_another_form| is_left_by(&losses, &candidate(kind, gain), is_of_another_form);
+            |kind, gain, is_of_another_form| is_left_by(&losses, &Gain::of(&candidate(kind, gain)), is_of_another_form);
         assert!(is_left(EffectKind::RangeDropout, 29.0, false));
         assert!(!is_left(EffectKind::RangeDropout, 31.0, false));
         assert!(is_left(EffectKind::RangeDropout, 249.0, true));
@@ -532,7 +554,7 @@ mod tests {
         // A bias whose form is off spreads readings; noise beside one whose form is right is another cause.
         let bias = name(&[candidate(EffectKind::RangeScale, 1000.0)], 0, 0.01, 100);
         let is_spread = |gain, is_of_another_form| {
-            is_left_by(&bias, &candidate(EffectKind::RangeNoise, gain), is_of_another_form)
+            is_left_by(&bias, &Gain::of(&candidate(EffectKind::RangeNoise, gain)), is_of_another_form)
         };
         assert!(is_spread(249.0, true) && !is_spread(251.0, true) && !is_spread(31.0, false));
         // Two thousandths may be the likelihood's own, but not of other data.
@@ -543,7 +565,7 @@ mod tests {
             let mut candidate = candidate(EffectKind::HeavyTail, gain);
             candidate.gains = vec![0.0; 10];
             candidate.gains[..2].fill(0.5 * gain);
-            is_left_by(&losses, &candidate, false)
+            is_left_by(&losses, &Gain::of(&candidate), false)
         };
         assert!(bursts(48.0) && !bursts(60.0) && !is_left(EffectKind::HeavyTail, 48.0, false));
     }
