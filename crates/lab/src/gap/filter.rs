@@ -82,7 +82,10 @@ impl<'a> FilterOnLog<'a> {
             Some(trained(self.study, &self.maps, &learnt, self.control.progress)?)
         };
         let model = model.as_ref().unwrap_or(&self.nominal);
-        let log = corrected(self.study, &Effects::new(correctable).map_err(GapError::from)?)?;
+        let steps = self.study.usable_steps().take(self.study.settings.scans);
+        let drive = Drive { laser: self.study.drive.laser.clone(), steps: steps.cloned().collect() };
+        let effects = Effects::new(correctable).map_err(GapError::from)?;
+        let log = corrected(&drive, &effects, filter_beams(self.study))?;
         self.control.progress.stage("localizing on the log", u64::from(SEEDS));
         let errors = (0..SEEDS).into_par_iter().map(|seed| {
             if self.control.is_interrupted() {
@@ -166,11 +169,8 @@ fn filter_beams(study: &GapStudy) -> usize {
     beams.min(study.drive.laser.beam_count())
 }
 
-/// The scans that the search looked at, with these effects taken out of mount, odometry, stamps and readings.
-fn corrected(study: &GapStudy, effects: &Effects) -> Result<Corrected, GapError> {
-    let steps = study.usable_steps().take(study.settings.scans);
-    let drive = Drive { laser: study.drive.laser.clone(), steps: steps.cloned().collect() };
-    let drive = drive.with_beams(filter_beams(study));
+/// So many beams of a drive's scans, with these effects taken out of mount, odometry, stamps and readings, and each scan as it was from one place.
+fn corrected(drive: &Drive, effects: &Effects, beams: usize) -> Result<Corrected, GapError> {
     let laser = &drive.laser;
     let mount = effects.laser_mount(laser.base_from_laser());
     let laser = Laser::new(
@@ -200,7 +200,9 @@ fn corrected(study: &GapStudy, effects: &Effects) -> Result<Corrected, GapError>
             (step, pose.relative_to(&odometry))
         })
         .unzip();
-    Ok(Corrected { drive: Drive { laser, steps }, to_stamp })
+    let drive = Drive { laser, steps };
+    let drive = drive.deskewed().unwrap_or(drive);
+    Ok(Corrected { drive: drive.with_beams(beams), to_stamp })
 }
 
 /// The odometry without these errors of its increments.
@@ -301,6 +303,40 @@ mod tests {
             );
         }
         assert!(read[3].position().distance(truth[3].position()) > 1e-3, "the control");
+    }
+
+    /// A robot drives at 1 m/s towards a wall 5 m away. Its laser sweeps for 0.1 s from 60 ms before the stamp on.
+    #[test]
+    fn scans_are_as_from_where_their_first_beam_was_taken() {
+        let bearings: Vec<f32> = (-10..=10_i8).map(|i| 0.01 * f32::from(i)).collect();
+        let times: Vec<f32> = (0..=20_u8).map(|i| 0.005 * f32::from(i)).collect();
+        let laser = Laser::new(bearings.clone(), times.clone(), 0.1, 20.0, Pose2::IDENTITY).unwrap();
+        let delay = -0.06;
+        let step = |i: u32| {
+            let stamp_secs = 0.2 * f64::from(i);
+            let beam = |(bearing, secs): (&f32, &f32)| {
+                let x = stamp_secs + delay + f64::from(*secs);
+                ((5.0 - x) / f64::from(*bearing).cos()) as f32
+            };
+            let ranges = bearings.iter().zip(&times).map(beam).collect();
+            let odometry = Pose2::new(stamp_secs, 0.0, 0.0);
+            DriveStep { stamp_secs, odometry, reference: None, scan: Scan { ranges } }
+        };
+        let drive = Drive { laser, steps: (0..10).map(step).collect() };
+        let late = Effect::new(EffectKind::TimeOffset, vec![delay], Vec::new()).unwrap();
+        for effects in [vec![late], Vec::new()] {
+            // Without the delay a scan is taken for one at the stamp: the wall is as much farther away.
+            let log = corrected(&drive, &Effects::new(effects.clone()).unwrap(), 5).unwrap();
+            assert_eq!(log.drive.laser.beam_count(), 5);
+            for (step, to_stamp) in log.drive.steps.iter().zip(&log.to_stamp).skip(1).take(8) {
+                let known = if effects.is_empty() { 0.0 } else { 1.0 };
+                assert!((to_stamp.x + known * delay).abs() < 1e-9, "{to_stamp:?}");
+                for (range, bearing) in step.scan.ranges.iter().zip(log.drive.laser.bearings()) {
+                    let expected = (5.0 - step.stamp_secs - delay) / f64::from(*bearing).cos();
+                    assert!((f64::from(*range) - expected).abs() < 1e-3, "{range} {expected}");
+                }
+            }
+        }
     }
 
     /// Of 1, 2, 3: mean 2, standard error 1 / sqrt(3), and Student's t of two degrees of freedom 4.3027.
