@@ -7,8 +7,7 @@ use distreg::random_effects;
 use glam::DVec3;
 use locsim_core::{
     Pose2, PoseError, PoseInformation, Recorded, are_errors, fit_pose_error, longest_lasting, most_change,
-    no_larger_than_told,
-    pattern_score, smooth_pose_errors, without_patterns,
+    no_larger_than_told, pattern_score, smooth_pose_errors, without_patterns,
 };
 use locsim_world::effect::{BurstStates, Effect, Effects, InBurst};
 use locsim_world::simulation::{OdometrySpread, ReadingSources, log_likelihoods};

@@ -128,7 +128,7 @@ mod tests {
             E::IncidenceDropout => &[0.8, 0.6, 0.2],
             E::RangeDropout => &[0.9, 0.7],
             E::MixedPixels => &[0.8],
-            E::Glass => &[0.6],
+            E::Glass => &[0.6, 0.3],
             E::MovedWall => &[-0.3, 0.0],
             E::MissingObject => &[2.6, 2.0, 0.4],
             E::MountYaw | E::TimeOffset | E::OdomDistanceScale | E::OdomTurnScale => &[0.1],

@@ -465,7 +465,7 @@ mod tests {
                 Nominal::new(Arc::clone(&map), laser, None, NOMINAL.odometry, Effects::none()).unwrap();
             let pane = vec![[DVec2::new(2.0, 0.4), DVec2::new(3.0, 0.4)]];
             let effects = [
-                (EffectKind::Glass, vec![0.9], pane),
+                (EffectKind::Glass, vec![0.9, 0.0], pane),
                 (EffectKind::MissingObject, vec![3.0, 2.2, 0.3], Vec::new()),
                 (EffectKind::IncidenceBias, vec![0.01], Vec::new()),
                 (EffectKind::MixedPixels, vec![0.5], Vec::new()),

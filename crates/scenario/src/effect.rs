@@ -199,7 +199,7 @@ mod tests {
     #[test]
     fn effects_are_written_as_people_write_them() {
         let stretch = |x: f64| [DVec2::new(x, -0.0), DVec2::new(x, 1.5)];
-        let glass = Effect::new(EffectKind::Glass, vec![0.3], vec![stretch(1.0), stretch(2.0)]).unwrap();
+        let glass = Effect::new(EffectKind::Glass, vec![0.3, 0.0], vec![stretch(1.0), stretch(2.0)]).unwrap();
         assert_eq!(effect_yaml(&glass, Some("north-3")), "- {name: glass, wall: north-3, p: 0.3}");
         assert_eq!(effect_yaml(&glass, Some("3")), "- {name: glass, wall: \"3\", p: 0.3}");
         assert_eq!(effect_yaml(&glass, Some("No")), "- {name: glass, wall: \"No\", p: 0.3}");

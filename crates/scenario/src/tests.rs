@@ -210,7 +210,7 @@ fn effects_arrive_in_si_units_and_on_their_walls() {
     let glass = find(EffectKind::Glass);
     assert_eq!(glass[0].place, [[point(20.0, 4.0), point(0.0, 4.0)]], "the wall outline/2");
     assert_eq!(glass[1].place, [[point(4.0, 0.0), point(6.5, 0.0)]]);
-    assert_eq!((glass[0].values[0], glass[1].values[0]), (0.3, 0.6));
+    assert_eq!([&glass[0].values[..], &glass[1].values[..]], [[0.3, 0.0], [0.6, 0.2]]);
     let left_out = "effects: [{name: mount_offset, y_m: 0.1}, {name: warmup_drift, bias_m: 0.1}]";
     let scenario = parse(&format!("{}{left_out}", text("minimal.yaml"))).unwrap();
     let Source::Simulation(Simulation { effects, .. }) = &scenario.source else { panic!() };

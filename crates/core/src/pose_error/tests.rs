@@ -75,6 +75,49 @@ fn errors_that_last_are_not_taken_for_constants() {
     assert!(short_about_mean > 12 && short < 4, "{short_about_mean} {short}");
 }
 
+/// Errors that come and go within three seconds, as smoothly as a localizer's: from scan to scan they hardly change, and a fit has them last for
+/// minutes and be three times as large as they are.
+#[test]
+fn smooth_errors_are_no_larger_than_they_are() {
+    let secs: Vec<f64> = (0..300).map(|i| 0.18 * f64::from(i)).collect();
+    let sigmas = DVec3::new(0.02, 0.02, 0.005);
+    let scan =
+        PoseInformation { matrix: DMat3::from_diagonal(DVec3::new(2e6, 2e6, 2e7)), vector: DVec3::ZERO };
+    for log in 0..8 {
+        let draw = |item: u32| crate::Draw::new(log, crate::Stage::Path, item);
+        // Waves of 8 to 30 s, each of a random phase.
+        let phases =
+            (0..24).map(|wave| super::information::normals(&mut draw(wave).item(2))).collect::<Vec<_>>();
+        let error = |secs: f64| {
+            let waves = phases.iter().zip(0..).map(|(phase, wave)| {
+                let omega = 0.21 + 0.024 * f64::from(wave);
+                let of_axis = |phase: f64| (omega * secs + 20.0 * phase).sin();
+                DVec3::new(of_axis(phase.x), of_axis(phase.y), of_axis(phase.z))
+            });
+            sigmas * waves.sum::<DVec3>() / 12.0_f64.sqrt()
+        };
+        let errors: Vec<DVec3> = secs.iter().map(|secs| error(*secs)).collect();
+        let told = errors.iter().zip(0..);
+        let scans: Vec<PoseInformation> =
+            told.map(|(e, i)| scan.simulate(*e, &mut draw(i).item(1))).collect();
+        let start = PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0, ..PoseError::NONE };
+        let fitted = longest_lasting(fit_pose_error(start, &secs, &scans, 20), &secs, &scans, &[]);
+        let limited = no_larger_than_told(fitted, &secs, &scans);
+        let square = errors.iter().map(|e| *e * *e).sum::<DVec3>() / 300.0;
+        let rms = [(0.5 * (square.x + square.y)).sqrt(), square.z.sqrt()];
+        let over = |process: &PoseError| [process.sigma_m / rms[0], process.sigma_rad / rms[1]];
+        assert!(over(&fitted).iter().all(|over| *over > 1.5), "{:?} {fitted:?}", over(&fitted));
+        assert!(
+            over(&limited).iter().all(|over| (0.5..1.5).contains(over)),
+            "{:?} {limited:?}",
+            over(&limited)
+        );
+        // The same fluctuations from scan to scan.
+        let per_sec = |process: &PoseError| process.sigma_m.powi(2) / process.correlation_secs;
+        assert!((per_sec(&limited) / per_sec(&fitted) - 1.0).abs() < 1e-9);
+    }
+}
+
 /// The restricted evidence is that of the scans integrated over a constant, by a sum.
 #[test]
 fn restricted_evidence_is_integrated_over_patterns() {

@@ -239,7 +239,7 @@ mod tests {
     #[test]
     fn a_loss_all_over_the_hall_is_at_no_wall() {
         let place = vec![[DVec2::new(0.0, 0.0), DVec2::new(0.0, 6.0)]];
-        let pane = Effect::new(EffectKind::Glass, vec![0.5], place).unwrap();
+        let pane = Effect::new(EffectKind::Glass, vec![0.5, 0.0], place).unwrap();
         let of_wall = (0..6).map(|y| [0.0, f64::from(y), 1.0]);
         let others = (0..20).map(|i| [4.0 + f64::from(i), 9.0, 1.0]);
         let cells: Vec<[f64; 3]> = std::iter::once([0.0; 3]).chain(of_wall).chain(others).collect();

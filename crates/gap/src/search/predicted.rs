@@ -261,9 +261,12 @@ mod tests {
         let effect = |kind, values: &[f64]| Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
         let deep = effect(EffectKind::BlockDepth, &[3.0]);
         let floor = effect(EffectKind::SectorOcclusion, &[-0.3, 0.3, 2.0, 0.6]);
-        let pane =
-            Effect::new(EffectKind::Glass, vec![0.5], vec![[DVec2::new(5.5, 4.0), DVec2::new(0.5, 4.0)]])
-                .unwrap();
+        let pane = Effect::new(
+            EffectKind::Glass,
+            vec![0.5, 0.0],
+            vec![[DVec2::new(5.5, 4.0), DVec2::new(0.5, 4.0)]],
+        )
+        .unwrap();
         let random = effect(EffectKind::Crosstalk, &[0.1, 1.0]);
         for (hidden, predicted, is_there) in [
             (&deep, &deep, true),

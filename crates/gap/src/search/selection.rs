@@ -440,7 +440,7 @@ mod tests {
     #[test]
     fn the_other_wall_of_a_corner_is_another_cause() {
         let glass = |from: [f64; 2], to: [f64; 2]| {
-            Effect::new(EffectKind::Glass, vec![0.4], vec![[from.into(), to.into()]]).unwrap()
+            Effect::new(EffectKind::Glass, vec![0.4, 0.0], vec![[from.into(), to.into()]]).unwrap()
         };
         let known = glass([23.0, 18.0], [23.0, 11.0]);
         assert!(is_one_cause(&known, &glass([23.1, 14.0], [23.1, 15.0])));

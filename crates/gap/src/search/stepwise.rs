@@ -543,8 +543,9 @@ mod tests {
             score: None,
         };
         let losses = name(&[candidate(EffectKind::IncidenceDropout, 1000.0)], 0, 0.01, 100);
-        let is_left =
-            |kind, gain, is_of_another_form| is_left_by(&losses, &Gain::of(&candidate(kind, gain)), is_of_another_form);
+        let is_left = |kind, gain, is_of_another_form| {
+            is_left_by(&losses, &Gain::of(&candidate(kind, gain)), is_of_another_form)
+        };
         assert!(is_left(EffectKind::RangeDropout, 29.0, false));
         assert!(!is_left(EffectKind::RangeDropout, 31.0, false));
         assert!(is_left(EffectKind::RangeDropout, 249.0, true));
@@ -568,6 +569,31 @@ mod tests {
             is_left_by(&losses, &Gain::of(&candidate), false)
         };
         assert!(bursts(48.0) && !bursts(60.0) && !is_left(EffectKind::HeavyTail, 48.0, false));
+    }
+
+    /// Deep clutter was named first, and then a wall that has moved, which gains a thousand times as much: what clutter gains beside it the wall
+    /// leaves, whichever came first. Of two that gain much both stay.
+    #[test]
+    fn a_name_that_gains_next_to_nothing_beside_another_is_left_by_it() {
+        let named = |kind: EffectKind, gain: f64| {
+            let candidate = Candidate {
+                effect: Effect::typical(
+                    kind,
+                    if kind.has_place() { vec![[DVec2::ZERO, DVec2::X]] } else { Vec::new() },
+                ),
+                gains: vec![0.1 * gain; 10],
+                fitted_gains: vec![0.1 * gain; 10],
+                intervals: Vec::new(),
+                is_beyond_chance: true,
+                moves_most: false,
+                score: None,
+            };
+            name(&[candidate], 0, 0.01, 100)
+        };
+        let of = |gain: f64| [named(EffectKind::BlockDepth, gain), named(EffectKind::MovedWall, 10_000.0)];
+        let left = |named: &[Named]| [0, 1].map(|index| is_left(named, index));
+        assert_eq!([left(&of(15.0)), left(&of(25.0))], [[true, false], [false, false]]);
+        assert!(!is_left(&of(15.0)[..1], 0));
     }
 
     /// A laser whose bearings are off by up to a degree, as a sine around, errs as far as walls are slanted. Neighbouring beams err alike:

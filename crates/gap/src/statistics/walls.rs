@@ -246,7 +246,7 @@ mod tests {
     #[test]
     fn a_pane_in_a_jamb_is_named() {
         let pane = [DVec2::new(2.0, -0.4), DVec2::new(2.0, 0.0)];
-        let glass = Effect::new(EffectKind::Glass, vec![0.5], vec![pane]).unwrap();
+        let glass = Effect::new(EffectKind::Glass, vec![0.5, 0.0], vec![pane]).unwrap();
         let drive = record_library(&NOMINAL, &TRUTH, &[glass], Regime::default(), 3).unwrap();
         let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
         let options = GapOptions { replicates: 99, seed: 5, ..GapOptions::default() };

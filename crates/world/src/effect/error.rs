@@ -54,7 +54,7 @@ pub enum EffectError {
         kind: EffectKind,
     },
     /// More ways for a reading to go astray than a distribution holds.
-    #[error("{count} effects that replace readings are more than the {max} that are allowed")]
+    #[error("{count} replacements of readings by effects are more than the {max} that are allowed")]
     TooMany {
         /// How many there are.
         count: usize,

@@ -142,6 +142,9 @@ impl Parameter {
         if let Role::Position { first_step } = self.role {
             return first_step;
         }
+        if self.is_extra() && self.lo >= 0.0 {
+            return 0.05 * (self.hi - self.lo);
+        }
         if self.lo >= 0.0 {
             // A parameter that can't be negative is searched by its logarithm; this is the least value that one starts from.
             return 1e-3 * (self.start - self.lo).abs().max(1e-3);

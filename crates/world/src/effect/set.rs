@@ -3,7 +3,7 @@ use locsim_core::Pose2;
 use super::reading::{Hit, Return};
 use super::{
     Alternatives, BeamView, Disc, Effect, EffectError, HitKind, Needs, OdometryDistribution, OdometryErrors,
-    ReadingDistribution, Residual, residual,
+    ReadingDistribution, Replacement, Residual, residual,
 };
 use crate::options::{BlockOptions, LaserOptions};
 
@@ -28,7 +28,7 @@ impl Effects {
     ///
     /// # Errors
     /// [`EffectError`] for an effect that [`Effect::new`] refuses, two of a kind of which a world has one
-    /// (`wheel_slip`), and more than 12 effects that replace readings.
+    /// (`wheel_slip`), and effects by which a beam may read more than 12 other things.
     pub fn new(list: Vec<Effect>) -> Result<Self, EffectError> {
         let list = list
             .into_iter()
@@ -38,8 +38,7 @@ impl Effects {
         // Effects that shape the return come before those that replace it.
         let mut order: Vec<usize> = (0..list.len()).collect();
         order.sort_by_key(|&i| replaces(i));
-        let replacing = order.iter().filter(|&&i| replaces(i).is_some()).count();
-        Alternatives::check(replacing, 0)?;
+        Alternatives::check(list.iter().map(alternatives).sum(), 0)?;
         let count = |kind| list.iter().filter(|effect| effect.kind == kind).count();
         let mut singles = list.iter().map(|effect| effect.kind).filter(|kind| kind.description().is_single);
         if let Some(kind) = singles.find(|&kind| count(kind) > 1) {
@@ -61,8 +60,7 @@ impl Effects {
     /// [`EffectError::TooMany`] where effects leave no room for what residuals read instead of a return.
     pub fn with_residuals(mut self, residuals: Vec<Residual>) -> Result<Self, EffectError> {
         if !residuals.is_empty() {
-            let replaces = |effect: &&Effect| effect.kind.description().replaces.is_some();
-            let count = self.list.iter().filter(replaces).count();
+            let count = self.list.iter().map(alternatives).sum();
             Alternatives::check(count, residual::MOST_ALTERNATIVES)?;
         }
         self.needs.map |= residuals.iter().any(|residual| residual.needs().map);
@@ -213,4 +211,13 @@ pub(crate) struct Met {
     pub range: f64,
     /// Whether it is the wall of the map, moved as it may be.
     pub is_mapped: bool,
+}
+
+/// The most that a beam may read instead of its return by an effect: beams behind a pane end on a surface or before it.
+fn alternatives(effect: &Effect) -> usize {
+    match effect.kind.description().replaces {
+        None => 0,
+        Some(Replacement::Behind) if effect.values[1] > 0.0 => 2,
+        Some(_) => 1,
+    }
 }

@@ -32,7 +32,7 @@ pub(crate) fn strong(kind: EffectKind) -> Effect {
         E::IncidenceDropout => &[0.8, 0.6, 0.2],
         E::RangeDropout => &[0.9, 0.7],
         E::MixedPixels => &[0.5],
-        E::Glass => &[0.6],
+        E::Glass => &[0.6, 0.25],
         E::MovedWall => &[-0.3, 0.05],
         E::MissingObject => &[4.0, 3.0, 0.3],
         E::MountYaw | E::TimeOffset | E::OdomDistanceScale | E::OdomTurnScale => &[0.1],
@@ -332,7 +332,12 @@ fn means_and_deviations_are_those_of_the_formulas() {
     assert!(near(alternative(EffectKind::IncidenceDropout).0, 0.8 / (1.0 + (-3.0f64).exp())));
     assert!(near(alternative(EffectKind::Crosstalk).0, 0.42));
     assert_eq!(alternative(EffectKind::MixedPixels), (0.5, Alternative::Between { lo: 0.6, hi: 1.2 }));
-    assert_eq!(alternative(EffectKind::Glass), (0.6, Alternative::Near { mean: 4.4, sigma: 0.02 + 0.0088 }));
+    // A quarter of those that are let through are of clutter.
+    let through = distribution(EffectKind::Glass).alternatives;
+    let &[(of_clutter, between), (rest, surface)] = through.as_slice() else { panic!("{through:?}") };
+    assert_eq!(between, Alternative::Between { lo: 1.2, hi: 4.4 });
+    assert_eq!(surface, Alternative::Near { mean: 4.4, sigma: 0.02 + 0.0088 });
+    assert!(near(of_clutter, 0.15) && near((1.0 - of_clutter) * rest, 0.45));
     let outside = BeamView { behind: None, ..view };
     let through = effects(&[EffectKind::Glass]).reading(&laser(0.0), &outside, HitKind::Wall, 1.2);
     assert!(near(0.5 * through.alternatives.as_slice()[0].0, 0.3) && near(through.density(4.5), 0.3));
@@ -634,13 +639,13 @@ fn effects_out_of_range_are_refused() {
     let new = |kind, values: &[f64], place: &[[DVec2; 2]]| Effect::new(kind, values.to_vec(), place.to_vec());
     let point = [DVec2::ZERO; 2];
     for (effect, message) in [
-        (new(EffectKind::Glass, &[], &[STRETCH]), "glass needs 1 values; got 0"),
-        (new(EffectKind::Glass, &[1.5], &[STRETCH]), "p of glass must be from 0 to 1; got 1.5"),
+        (new(EffectKind::Glass, &[], &[STRETCH]), "glass needs 2 values; got 0"),
+        (new(EffectKind::Glass, &[1.5, 0.0], &[STRETCH]), "p of glass must be from 0 to 1; got 1.5"),
         (new(EffectKind::RangeBias, &[f64::NAN], &[]), "bias_m of range_bias must be from -1 to 1; got NaN"),
-        (new(EffectKind::Glass, &[0.5], &[]), "glass needs a place: at least one stretch of wall"),
+        (new(EffectKind::Glass, &[0.5, 0.0], &[]), "glass needs a place: at least one stretch of wall"),
         (new(EffectKind::HeavyTail, &[0.5], &[STRETCH]), "heavy_tail has no place"),
         (
-            new(EffectKind::Glass, &[0.5], &[STRETCH, point]),
+            new(EffectKind::Glass, &[0.5, 0.0], &[STRETCH, point]),
             "stretch 1 of the place of glass needs two finite",
         ),
     ] {
@@ -649,9 +654,12 @@ fn effects_out_of_range_are_refused() {
     }
     let many = |kind, n| Effects::new(vec![strong(kind); n]).map_err(|error| error.to_string());
     assert_eq!(many(EffectKind::WheelSlip, 2).unwrap_err(), "wheel_slip can be there once only");
-    assert!(many(EffectKind::Glass, 12).is_ok());
-    assert_eq!(
-        many(EffectKind::Glass, 13).unwrap_err(),
-        "13 effects that replace readings are more than the 12 that are allowed"
-    );
+    assert!(many(EffectKind::Glass, 6).is_ok() && many(EffectKind::MixedPixels, 12).is_ok());
+    // Each pane has a surface behind it, and clutter before that.
+    for (kind, n, count) in [(EffectKind::Glass, 7, 14), (EffectKind::MixedPixels, 13, 13)] {
+        assert_eq!(
+            many(kind, n).unwrap_err(),
+            format!("{count} replacements of readings by effects are more than the 12 that are allowed")
+        );
+    }
 }

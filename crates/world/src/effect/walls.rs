@@ -10,6 +10,9 @@ use super::{
     Site, Statistic,
 };
 
+/// About the share of a room's readings that are of things before its walls.
+const CLUTTER: f64 = 0.05;
+
 /// A wall that lets beams through.
 pub(super) struct Glass;
 
@@ -19,9 +22,14 @@ impl EffectType for Glass {
             &Description {
                 name: "glass",
                 site: Site::World,
-                parameters: &[Parameter::probability(0.5)],
+                parameters: &[
+                    Parameter::probability(0.5),
+                    Parameter::shape("clutter", "1", [0.0, 1.0], 0.0)
+                        .default(0.0)
+                        .prior(Prior::LogNormal { offset: CLUTTER, sd: 1.0 }),
+                ],
                 has_place: true,
-                formula: "with p, at the place: the reading of the surface behind; where the map has none, no return or, as likely, a return from anywhere behind",
+                formula: "with p, at the place: the reading of the surface behind or, for the share clutter of these, a return from anywhere between; where the map has no surface behind, no return or, as likely, a return from anywhere behind",
                 sentence: "A stretch of wall lets beams through: glass, or a grating.",
                 signature: "one stretch of wall that reads too long or not at all",
                 confused_with: &[EffectKind::MovedWall, EffectKind::IncidenceDropout],
@@ -36,16 +44,21 @@ impl EffectType for Glass {
     }
 
     fn reading(&self, effect: &Effect, hit: &Hit<'_>, reading: &mut Return<'_>) {
-        let [p] = effect.numbers();
+        let [p, clutter] = effect.numbers();
         if hit.is_in_range() && hit.mapped && effect.is_at(hit.view.endpoint) {
-            let behind = hit.view.behind.filter(|&behind| behind < hit.max);
-            // Half of these values are beyond the maximum range: maps seldom have what is outside.
-            let unknown = Alternative::Between { lo: hit.view.range, hi: 2.0 * hit.max - hit.view.range };
-            let alternative = behind.map_or(unknown, |r| Alternative::Near {
-                mean: reading.scale * r + reading.bias,
-                sigma: hit.sigma(r) + reading.growth * r * r,
-            });
-            reading.or(p, alternative);
+            let lo = hit.view.range;
+            let Some(behind) = hit.view.behind.filter(|&behind| behind < hit.max) else {
+                // Half of these values are beyond the maximum range: maps seldom have what is outside.
+                return reading.or(p, Alternative::Between { lo, hi: 2.0 * hit.max - lo });
+            };
+            let surface = Alternative::Near {
+                mean: reading.scale * behind + reading.bias,
+                sigma: hit.sigma(behind) + reading.growth * behind * behind,
+            };
+            let of_clutter = p * clutter;
+            reading.or(of_clutter, Alternative::Between { lo, hi: behind });
+            // Of those that nothing stands in the way of.
+            reading.or(if of_clutter < 1.0 { (p - of_clutter) / (1.0 - of_clutter) } else { 0.0 }, surface);
         }
     }
 }

@@ -268,7 +268,7 @@ fn a_missing_object_is_a_wall_of_its_own() {
     assert!((reading(3.0) - 6.0).abs() < 1e-6, "past it, the wall that has moved");
 
     let east = vec![[DVec2::new(6.0, 0.0), DVec2::new(6.0, 4.0)]];
-    let list = vec![disc(), Effect::new(EffectKind::Glass, vec![1.0], east).unwrap()];
+    let list = vec![disc(), Effect::new(EffectKind::Glass, vec![1.0, 0.0], east).unwrap()];
     let simulator = Simulator::new(room_map(), None, laser, effects(list)).unwrap();
     let reading = |y: f64| f64::from(simulator.observe(&Pose2::new(1.0, y, 0.0), 1, 0)[0]);
     assert!((reading(2.0) - 1.5).abs() < 1e-6, "the disc isn't of glass");
@@ -295,7 +295,7 @@ fn glass_shows_what_is_behind_and_a_moved_wall_hides_what_is_before() {
     let map = crate::map::VectorMap { outline, obstacles: vec![], walls: vec![screen] };
     let map = std::sync::Arc::new(crate::raycast::ExactRangeMap::new(map.to_geometry().unwrap()));
     let place = vec![[DVec2::new(2.0, 0.5), DVec2::new(2.0, 3.5)]];
-    let glass = Effect::new(EffectKind::Glass, vec![1.0], place.clone()).unwrap();
+    let glass = Effect::new(EffectKind::Glass, vec![1.0, 0.0], place.clone()).unwrap();
     let laser = LaserOptions { beams: 1, ..laser_options() };
     let simulator = Simulator::new(std::sync::Arc::clone(&map), None, laser, effects(vec![glass])).unwrap();
     let reading = |simulator: &Simulator, x: f64, theta: f64| {
