@@ -77,15 +77,18 @@ impl InOpen {
         let is_told = self.is_told && !(self.is_one_thing && self.reach_m.is_none());
         let text = self.reach_m.map_or_else(
             || {
-                let at_walls_m = self.at_walls_m();
-                let beyond = if most_m > AT_WALLS_M {
-                    format!(" `scenario.yaml` has those up to {at_walls_m:.1} m from a wall.")
+                let simulated = if most_m > AT_WALLS_M {
+                    format!(
+                        "Simulated logs get as many: blocks up to {:.1} m from a wall, which `scenario.yaml` has as well, and things in the \
+                         open beyond.",
+                        self.at_walls_m()
+                    )
                 } else {
-                    String::new()
+                    "Simulated logs get blocks up to there, as many as the log has.".to_owned()
                 };
                 format!(
                     "{percent:.1} % of the readings end in front of the walls, and the scenario has no `blocks`: people or things in the \
-                     open, most of them within {most_m:.1} m of a wall. Simulated logs get blocks up to there, as many as the log has.{beyond}"
+                     open, most of them within {most_m:.1} m of a wall. {simulated}"
                 )
             },
             |reach_m| {
