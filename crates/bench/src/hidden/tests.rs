@@ -16,7 +16,8 @@ fn values(form: OtherForm, strong: bool) -> Vec<f64> {
     let on = |value: f64| if strong { value } else { 0.0 };
     match form {
         OtherForm::IncidenceBias => vec![on(0.05)],
-        OtherForm::HeavyTail | OtherForm::Glass | OtherForm::MixedPixels => vec![on(0.6)],
+        OtherForm::HeavyTail | OtherForm::MixedPixels => vec![on(0.6)],
+        OtherForm::Glass => vec![on(0.6), 0.0],
         OtherForm::IncidenceDropout => vec![on(0.8), FRAC_PI_3, 0.05],
         OtherForm::RangeDropout => vec![on(0.9), 4.0],
         OtherForm::WarmupDrift => vec![on(0.2), 3.0],
@@ -623,7 +624,7 @@ fn what_cannot_be_recorded_is_refused() {
         let error = record_outside(&NOMINAL, &TRUTH, Outside::BearingBias, strength, regime, 1).unwrap_err();
         assert!(error.to_string().contains("strength must be finite, at least 0"), "{error}");
     }
-    let error = record_other(&NOMINAL, &TRUTH, OtherForm::Glass, &[0.5], &[], regime, 1).unwrap_err();
+    let error = record_other(&NOMINAL, &TRUTH, OtherForm::Glass, &[0.5, 0.0], &[], regime, 1).unwrap_err();
     assert!(error.to_string().contains("glass needs a place"), "{error}");
     for secs in [vec![0.0], vec![0.0, 0.0]] {
         let track = Track::new(secs.into_iter().map(|secs| (secs, TRUTH.poses()[0]))).unwrap();
