@@ -200,14 +200,20 @@ mod tests {
     fn effects_are_written_as_people_write_them() {
         let stretch = |x: f64| [DVec2::new(x, -0.0), DVec2::new(x, 1.5)];
         let glass = Effect::new(EffectKind::Glass, vec![0.3, 0.0], vec![stretch(1.0), stretch(2.0)]).unwrap();
-        assert_eq!(effect_yaml(&glass, Some("north-3")), "- {name: glass, wall: north-3, p: 0.3}");
-        assert_eq!(effect_yaml(&glass, Some("3")), "- {name: glass, wall: \"3\", p: 0.3}");
-        assert_eq!(effect_yaml(&glass, Some("No")), "- {name: glass, wall: \"No\", p: 0.3}");
-        assert_eq!(effect_yaml(&glass, Some("a: \"b\"")), "- {name: glass, wall: \"a: \\\"b\\\"\", p: 0.3}");
+        assert_eq!(
+            effect_yaml(&glass, Some("north-3")),
+            "- {name: glass, wall: north-3, p: 0.3, clutter: 0}"
+        );
+        assert_eq!(effect_yaml(&glass, Some("3")), "- {name: glass, wall: \"3\", p: 0.3, clutter: 0}");
+        assert_eq!(effect_yaml(&glass, Some("No")), "- {name: glass, wall: \"No\", p: 0.3, clutter: 0}");
+        assert_eq!(
+            effect_yaml(&glass, Some("a: \"b\"")),
+            "- {name: glass, wall: \"a: \\\"b\\\"\", p: 0.3, clutter: 0}"
+        );
         assert_eq!(
             effect_yaml(&glass, None),
-            "- {name: glass, from_m: [1, 0], to_m: [1, 1.5], p: 0.3}\n\
-             - {name: glass, from_m: [2, 0], to_m: [2, 1.5], p: 0.3}"
+            "- {name: glass, from_m: [1, 0], to_m: [1, 1.5], p: 0.3, clutter: 0}\n\
+             - {name: glass, from_m: [2, 0], to_m: [2, 1.5], p: 0.3, clutter: 0}"
         );
         let yaw = Effect::new(EffectKind::MountYaw, vec![std::f64::consts::FRAC_PI_2], vec![]).unwrap();
         assert_eq!(effect_yaml(&yaw, None), "- {name: mount_yaw, yaw_deg: 90}");

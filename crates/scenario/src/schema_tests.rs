@@ -105,7 +105,8 @@ fn every_documented_default_is_the_default() {
     let log = edited(&text("log.yaml"), "  map_resolution_m: 0.1\n", "");
     let effects = "effects: [{name: mount_offset}, {name: incidence_dropout, p: 0.5, angle_deg: 60}, \
                    {name: range_dropout, p: 0.1}, {name: warmup_drift, bias_m: 0.1}, \
-                   {name: moved_wall, from_m: [0, 0], to_m: [1, 0], distance_m: 0.1}]";
+                   {name: moved_wall, from_m: [0, 0], to_m: [1, 0], distance_m: 0.1}, \
+                   {name: glass, from_m: [0, 0], to_m: [1, 0], p: 0.1}]";
     let affected = format!("{minimal}{effects}");
     let mut seen = BTreeSet::new();
     for text in [minimal, waypoints, adaptive, annealed, placed, log, affected] {
