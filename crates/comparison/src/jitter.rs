@@ -31,28 +31,37 @@ impl<'a> Jitter<'a> {
             walked + white * normal()
         };
         let errors: Vec<DVec3> = along.secs().iter().enumerate().map(error).collect();
+        let mut jitter = Self { secs: along.secs(), errors, means: Vec::new() };
         let sweep_secs = recorded.sweep_secs();
         let mean = |&begin: &f64| {
             let [from, to] =
-                [begin, begin + sweep_secs].map(|t| along.secs().partition_point(|secs| *secs < t));
-            errors[from..to].iter().sum::<DVec3>() / (to - from).max(1) as f64
+                [begin, begin + sweep_secs].map(|t| jitter.secs.partition_point(|secs| *secs < t));
+            if from == to {
+                // No pose is within the sweep: it is seen from between two.
+                return jitter.error_at(begin + 0.5 * sweep_secs);
+            }
+            jitter.errors[from..to].iter().sum::<DVec3>() / (to - from) as f64
         };
-        let means = recorded.track.secs().iter().map(mean).collect();
-        Some(Self { secs: along.secs(), errors, means })
+        jitter.means = recorded.track.secs().iter().map(mean).collect();
+        Some(jitter)
     }
 
     /// The noise of a pose at a time during a scan, x, y \[m\] and heading \[rad\].
     pub fn at(&self, scan: usize, secs: f64) -> DVec3 {
+        self.error_at(secs) - self.means[scan]
+    }
+
+    /// The noise of a pose at a time, with what all poses of a sweep share.
+    fn error_at(&self, secs: f64) -> DVec3 {
         let next = self.secs.partition_point(|time| *time <= secs);
-        let error = match (next.checked_sub(1), self.errors.get(next)) {
+        match (next.checked_sub(1), self.errors.get(next)) {
             (Some(before), Some(after)) => {
                 let share = (secs - self.secs[before]) / (self.secs[next] - self.secs[before]);
                 self.errors[before].lerp(*after, share)
             }
             (Some(last), None) => self.errors[last],
             (None, _) => self.errors[0],
-        };
-        error - self.means[scan]
+        }
     }
 }
 
@@ -84,6 +93,22 @@ mod tests {
             exact.jitter
         );
         let (white, walk) = ([0.003, 0.001], [0.02, 0.01]);
+        // Sweeps that begin and end between two poses, and none at all: what poses walk by in all of the drive isn't in them.
+        for sweep_secs in [0.0, 0.004] {
+            let times: Vec<f32> = (0..72_u8).map(|beam| sweep_secs * f32::from(beam) / 72.0).collect();
+            let laser = DRIVE.laser.clone().with_beam_times(&times).unwrap();
+            let short = Recorded::new(&locsim_core::Drive { laser, ..DRIVE.clone() }, 170, 72, |_| true);
+            let short = short.unwrap().along(between.iter().copied());
+            let erring = Recorded { jitter: PoseJitter { white: [0.0; 2], walk }, ..short };
+            let jitter = Jitter::new(&erring, 1).unwrap();
+            let farthest = jitter.errors.iter().map(|e| e.truncate().length()).fold(0.0, f64::max);
+            let within = recorded.track.secs().iter().enumerate().flat_map(|(scan, &begin)| {
+                [0.0, 0.5, 1.0].map(|share| jitter.at(scan, begin + share * f64::from(sweep_secs)))
+            });
+            let most = within.map(|e| e.truncate().length()).fold(0.0, f64::max);
+            // Between two poses 0.02 s apart it walks by 2.8 mm and 2.8 times as much in one of 10^7.
+            assert!(farthest > 0.03 && most < 0.01, "{sweep_secs} s: {farthest} m, {most} m");
+        }
         for truth in [PoseJitter { white, walk: [0.0; 2] }, PoseJitter { white: [0.0; 2], walk }] {
             let erring = Recorded { jitter: truth, ..exact.clone() };
             let jitter = Jitter::new(&erring, 1).unwrap();
