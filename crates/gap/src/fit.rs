@@ -47,6 +47,21 @@ pub(crate) struct Candidate {
 }
 
 impl Candidate {
+    /// A fit that gains so much (nats), as much on each of ten folds.
+    #[cfg(test)]
+    pub fn of_gain(effect: Effect, gain: f64) -> Self {
+        let gains = vec![0.1 * gain; 10];
+        Self {
+            effect,
+            fitted_gains: gains.clone(),
+            gains,
+            intervals: Vec::new(),
+            is_beyond_chance: true,
+            moves_most: false,
+            score: None,
+        }
+    }
+
     pub fn gain(&self) -> f64 {
         self.gains.iter().sum()
     }

@@ -116,9 +116,9 @@ pub fn longest_lasting(
 /// Steps in which it is found: what scans don't tell of an error is as large as the process.
 const STEPS: usize = 4;
 
-/// The process with the same fluctuations from scan to scan that is no larger than what scans say the errors are (root mean square). Errors that
-/// come and go smoothly hardly change from scan to scan, which a fit takes for a process that outlasts the log by far, and is as large as it
-/// could become by then.
+/// The process that is no larger than what scans say the errors are (root mean square), with the same variance for each second: of errors that
+/// last, the same changes from scan to scan. Errors that come and go smoothly hardly change from scan to scan. A fit takes them for a process that
+/// outlasts the log by far, and is as large as it could become by then.
 pub fn no_larger_than_told(process: PoseError, secs: &[f64], scans: &[PoseInformation]) -> PoseError {
     let mut process = process;
     for _ in 0..STEPS {

@@ -5,6 +5,7 @@ mod initial_guess;
 mod judge;
 mod judgement;
 mod lasting;
+mod left_over;
 mod outcome;
 mod pair;
 mod precision;

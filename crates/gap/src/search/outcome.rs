@@ -43,7 +43,7 @@ impl<'a> State<'a> {
         if let [only] = &mut named[..] {
             only.count_all_gains(recorded.scans());
         }
-        named.sort_by(|a, b| b.evidence.gain_nats.value.total_cmp(&a.evidence.gain_nats.value));
+        most_gaining_first(&mut named);
         let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
         let still_off = after.null.p <= options.false_alarm;
         let detectable = detectable(before);
@@ -301,6 +301,10 @@ impl<'a> State<'a> {
     }
 }
 
+fn most_gaining_first(named: &mut [Named]) {
+    named.sort_by(|a, b| b.evidence.gain_nats.value.total_cmp(&a.evidence.gain_nats.value));
+}
+
 /// The share of a gap that counts as closed: as much as both the log score and the ranges say. `None` where something is gained that
 /// ranges don't show: then they can't say whether the gap has closed.
 fn closed(gained: Estimate, in_ranges: Option<f64>) -> Option<Estimate> {
@@ -407,7 +411,22 @@ fn notes(nominal: &Nominal, BlockPolicy { resample, moves, passing, walks }: Blo
 
 #[cfg(test)]
 mod tests {
+    use super::super::selection::name;
     use super::*;
+
+    /// Clutter was named before the wall that gains more.
+    #[test]
+    fn the_name_that_gains_most_comes_first() {
+        let of_gain = |kind, gain| Candidate::of_gain(Effect::typical(kind, Vec::new()), gain);
+        let named = |kind, gain| name(&[of_gain(kind, gain)], 0, 0.01, 100);
+        let [clutter, tail, scale] =
+            [(EffectKind::BlockDepth, 79.0), (EffectKind::HeavyTail, 900.0), (EffectKind::RangeScale, 80.0)]
+                .map(|(kind, gain)| named(kind, gain));
+        let mut all = [clutter, tail, scale];
+        most_gaining_first(&mut all);
+        let names = all.map(|named| named.name);
+        assert_eq!(names, [EffectKind::HeavyTail, EffectKind::RangeScale, EffectKind::BlockDepth]);
+    }
 
     /// Nine tenths are closed only where ranges came half of the way or more, wherever distances and floor are.
     #[test]

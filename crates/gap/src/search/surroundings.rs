@@ -169,15 +169,7 @@ mod tests {
             };
             let gain = total(std::slice::from_ref(&candidate)) - total(&[]);
             assert!(gain > 5.0, "{}: {gain}", candidate.kind);
-            let candidate = Candidate {
-                effect: candidate,
-                gains: vec![0.1 * gain; 10],
-                fitted_gains: vec![0.1 * gain; 10],
-                intervals: Vec::new(),
-                is_beyond_chance: true,
-                moves_most: false,
-                score: None,
-            };
+            let candidate = Candidate::of_gain(candidate, gain);
             assert_eq!(drop_surroundings(&round, vec![candidate]).unwrap().len(), usize::from(is_kept));
         }
     }
@@ -211,15 +203,8 @@ mod tests {
                 blocks,
             };
             let round = state.round(Vec::new(), fitted.nuisances, options.replicates).unwrap();
-            let candidate = Candidate {
-                effect: Effect::new(EffectKind::HeavyTail, vec![0.01], Vec::new()).unwrap(),
-                gains: vec![1.0; 10],
-                fitted_gains: vec![1.0; 10],
-                intervals: Vec::new(),
-                is_beyond_chance: true,
-                moves_most: false,
-                score: None,
-            };
+            let tail = Effect::new(EffectKind::HeavyTail, vec![0.01], Vec::new()).unwrap();
+            let candidate = Candidate::of_gain(tail, 10.0);
             !drop_of_one_place(&round, vec![candidate]).unwrap().is_empty()
         };
         assert!(!is_kept(|_, end| end.distance(DVec2::new(6.0, 3.0)) < 0.4));

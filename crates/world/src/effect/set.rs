@@ -217,7 +217,10 @@ pub(crate) struct Met {
 fn alternatives(effect: &Effect) -> usize {
     match effect.kind.description().replaces {
         None => 0,
-        Some(Replacement::Behind) if effect.values[1] > 0.0 => 2,
+        Some(Replacement::Behind) => {
+            let [_, clutter] = effect.numbers();
+            if clutter > 0.0 { 2 } else { 1 }
+        }
         Some(_) => 1,
     }
 }

@@ -29,7 +29,7 @@ impl EffectType for Glass {
                         .prior(Prior::LogNormal { offset: CLUTTER, sd: 1.0 }),
                 ],
                 has_place: true,
-                formula: "with p, at the place: the reading of the surface behind or, for the share clutter of these, a return from anywhere between; where the map has no surface behind, no return or, as likely, a return from anywhere behind",
+                formula: "with p, at the place: the reading of the surface behind, or for the share clutter of anything before it; where the map has none behind, no return or, as likely, one from anywhere",
                 sentence: "A stretch of wall lets beams through: glass, or a grating.",
                 signature: "one stretch of wall that reads too long or not at all",
                 confused_with: &[EffectKind::MovedWall, EffectKind::IncidenceDropout],
